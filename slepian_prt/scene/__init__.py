@@ -1,0 +1,1 @@
+"""What is rendered and with what: variants of Mitsuba, meshes, scenes, environments."""
