@@ -143,7 +143,7 @@ def cap_basis(
     if kernel is None:
         blocks, values, leakages = _plain_blocks(bandlimit, half_angle, last_order, threshold)
     else:
-        factors = _moment_factors(bandlimit, half_angle, kernel, last_order)
+        factors = cap_moment_factors(bandlimit, half_angle, kernel, last_order)
         blocks, values = [], []
         for m, factor in enumerate(factors):
             vectors, eigenvalues = _right_singular(factor, _incident_factor(bandlimit, half_angle, m))
@@ -227,10 +227,11 @@ def _pole_signs(bandlimit: int, m: int, vectors: NDArray, concentration: NDArray
 # --- Transport kernels -----------------------------------------------------------------------------------------------
 
 
-def _moment_factors(
-    bandlimit: int, half_angle: float, kernel: ArrayLike | SecondMoment, last_order: int
+def cap_moment_factors(
+    bandlimit: int, half_angle: float, kernel: ArrayLike | SecondMoment, last_order: int | None = None
 ) -> list[NDArray[np.float64]]:
-    """For each order m a factor F_m, (r, L+1-m), with F_mᵀ F_m the block of C_U."""
+    """For each order m = 0..L a factor F_m, (r, L+1-m), with F_mᵀ F_m the block of C_U in the cap's frame."""
+    last_order = bandlimit if last_order is None else last_order
     nodes = cap_nodes(bandlimit + 1, half_angle)
     # (1/|U|) ∫_U, with weights that stay right in the limit Θ = 0.
     weights = 0.5 * cap_nodes(bandlimit + 1, math.pi).weights

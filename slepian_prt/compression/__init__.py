@@ -1,0 +1,1 @@
+"""Transfer vectors clustered, projected on few functions, coded and filed."""

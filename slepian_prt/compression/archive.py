@@ -1,0 +1,149 @@
+"""The ``.prt`` file: a zip archive of ``manifest.json`` and one ``.npy`` per array.
+
+Any zip tool lists it, numpy reads its members, nothing in it is executable, and every member has a checksum. Float
+arrays are stored as they are, so that they can be mapped or read in part; the others are deflated.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+
+FORMAT = "slepian_prt transfer"
+VERSION = 1
+
+# A fixed time stamp: the same content gives the same bytes.
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+def write(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    """Write a file complete or not at all.
+
+    Raises
+    ------
+    UserError
+        The folder is missing or not writable, or the disk is full.
+    """
+    with atomic_output(path) as file, zipfile.ZipFile(file, "w") as container:
+        content = {"format": FORMAT, "version": VERSION, "arrays": list(arrays), **manifest}
+        _add(container, "manifest.json", json.dumps(content, indent=1).encode(), zipfile.ZIP_DEFLATED)
+        for name, array in arrays.items():
+            _add(container, f"{name}.npy", _npy(array), _compression(array))
+
+
+def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """Manifest and arrays of a file, every checksum verified.
+
+    Raises
+    ------
+    UserError
+        Missing, foreign, cut short, damaged, or from a newer version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; slepian-prt precompute makes one")
+    try:
+        with zipfile.ZipFile(path) as container:
+            manifest = json.loads(container.read("manifest.json"))
+            if manifest.get("format") != FORMAT:
+                raise UserError(f"{path}: is not a transfer file of slepian-prt; precompute one")
+            if manifest["version"] > VERSION:
+                raise UserError(
+                    f"{path}: has format version {manifest['version']}, this program reads up to {VERSION}; update "
+                    "slepian_prt"
+                )
+            arrays = {}
+            for name in manifest["arrays"]:
+                with container.open(f"{name}.npy") as member:
+                    arrays[name] = np.lib.format.read_array(io.BytesIO(member.read()), allow_pickle=False)
+    except UserError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, AttributeError, TypeError) as error:
+        reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
+        raise UserError(
+            f"{path}: is not a transfer file, or is cut short or damaged ({reason}); precompute it again"
+        ) from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+    return manifest, arrays
+
+
+def encoded_size(arrays: dict[str, NDArray]) -> int:
+    """Bytes that arrays take in a file, everything about them counted."""
+    counter = io.BytesIO()
+    with zipfile.ZipFile(counter, "w") as container:
+        empty = counter.tell()
+        for name, array in arrays.items():
+            _add(container, f"{name}.npy", _npy(array), _compression(array))
+    return counter.tell() - empty
+
+
+@contextlib.contextmanager
+def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
+    """A file that appears under its name only when the with-block ends well; otherwise nothing is left.
+
+    Raises
+    ------
+    UserError
+        The folder is missing or not writable, or the disk is full.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a file")
+    try:
+        file = partial.open("wb")
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot be written ({error.strerror or error}); choose another folder for the output"
+        ) from None
+    try:
+        with file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise UserError now if `atomic_output` could not begin, rather than after the heavy work."""
+    path = Path(path)
+    folder = path.parent
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a file")
+    if not folder.is_dir():
+        raise UserError(f"{path}: the folder {folder} does not exist; create it or choose another")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise UserError(f"{path}: the folder {folder} is not writable; choose another folder for the output")
+
+
+def _add(container: zipfile.ZipFile, name: str, content: bytes, compression: int) -> None:
+    information = zipfile.ZipInfo(name, _EPOCH)
+    information.compress_type = compression
+    container.writestr(information, content)
+
+
+def _npy(array: NDArray) -> bytes:
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _compression(array: NDArray) -> int:
+    return zipfile.ZIP_STORED if array.dtype.kind == "f" else zipfile.ZIP_DEFLATED

@@ -1,0 +1,292 @@
+"""The linear bases that transfer vectors of a cap are projected on, behind one interface.
+
+A *candidate* is a cap's complete ordered basis with what each function is expected to carry; a truncation rule cuts
+it to the *basis* that is used and stored.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.clusters import Clusters
+from slepian_prt.slepian.concentration import CapBasis, cap_basis, cap_moment_factors, scatter_radial
+from slepian_prt.slepian.kernels import SecondMoment, cosine_lobe, measured_moment
+from slepian_prt.sphere.caps import Cap
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+
+# Caps share the basis of a cap at most this much wider: a few distinct problems instead of one per cap.
+_ANGLE_STEP = 1.02
+
+# Vertices whose transfer is looked at to learn the second moment of `adapted`.
+PILOT_SIZE = 400
+
+
+@dataclass(frozen=True)
+class LinearBasis:
+    """K functions of one cap: t ≈ mean + Σ_k c_k f_k with c = fᵀ (t - mean).
+
+    The functions are orthonormal. They are kept in whichever of three forms is smallest to store.
+
+    Attributes
+    ----------
+    center : (3,)
+    orders : (K,) int16 or None, radial : (K, L+1) float32 or None
+        Functions of one order each in the cap's frame.
+    dense : (K, (L+1)²) float32 or None
+        Functions in the world frame. If this and ``radial`` are None, the functions are the first K harmonics.
+    mean : ((L+1)²,) float32 or None
+    count, bandlimit : int
+        K and L.
+    """
+
+    center: NDArray[np.float64]
+    bandlimit: int
+    count: int
+    orders: NDArray[np.int16] | None = None
+    radial: NDArray[np.float32] | None = None
+    dense: NDArray[np.float32] | None = None
+    mean: NDArray[np.float32] | None = None
+
+    @cached_property
+    def functions(self) -> NDArray[np.float64]:
+        """(K, (L+1)²) in the world frame."""
+        if self.radial is not None and self.orders is not None:
+            return rotate_sh(scatter_radial(self.radial.astype(np.float64), self.orders), rotation_to(self.center))
+        if self.dense is not None:
+            return self.dense.astype(np.float64)
+        return np.eye(self.count, num_coefficients(self.bandlimit))
+
+    def project(self, vectors: NDArray) -> NDArray[np.float32]:
+        """(n, K) coefficients of transfer vectors (n, (L+1)²)."""
+        centred = vectors if self.mean is None else vectors - self.mean
+        return (centred @ self.functions.T.astype(np.float32)).astype(np.float32)
+
+    def reconstruct(self, coefficients: NDArray) -> NDArray[np.float32]:
+        """(n, (L+1)²) transfer vectors from (n, K) coefficients."""
+        vectors = coefficients.astype(np.float32) @ self.functions.astype(np.float32)
+        return vectors if self.mean is None else vectors + self.mean
+
+    def light(self, lighting: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What each function, (K, 3), and the mean, (3,), make of lighting (3, (L+1)²)."""
+        mean = np.zeros(3) if self.mean is None else lighting @ self.mean
+        return self.functions @ lighting.T, mean
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A cap's ordered basis before truncation.
+
+    Attributes
+    ----------
+    energies : (K_max,)
+        Expected squared coefficient of each function: by the pilot's second moment, and for ``cpca`` as measured.
+    total : float
+        Expected squared norm of a transfer vector, likewise.
+    cut : callable
+        Gives the basis of the first K functions.
+    """
+
+    energies: NDArray[np.float64]
+    total: float
+    cut: Callable[[int], LinearBasis]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What the builders of bases may look at. Beyond the pilot only ``cpca`` looks at the vectors."""
+
+    bandlimit: int
+    clusters: Clusters
+    normals: NDArray[np.float64]
+    vectors: NDArray[np.float32]
+    seed: int = 0
+
+    @cached_property
+    def unoccluded(self) -> NDArray[np.float64]:
+        """Zonal coefficients of diffuse transport without shadows."""
+        return cosine_lobe(self.bandlimit)
+
+    @cached_property
+    def pilot_moment(self) -> SecondMoment:
+        """Second moment of a stratified pilot in the vertices' own frames: every n-th vertex in cluster order."""
+        lit = np.any(self.normals != 0.0, axis=1)
+        in_order = np.concatenate(self.clusters.members)
+        in_order = in_order[lit[in_order]]
+        step = max(1, in_order.size // PILOT_SIZE)
+        pilot = in_order[np.random.default_rng(self.seed).integers(step) :: step]
+        to_local = np.swapaxes(rotation_to(self.normals[pilot]), -1, -2)
+        return measured_moment(rotate_sh(self.vectors[pilot], to_local))
+
+    @cache
+    def functions(self, kind: str, half_angle: float) -> CapBasis:
+        """Concentrated functions of a cap about z, solved once for all caps of that (shared) half-angle."""
+        kernels = {"plain": None, "unoccluded": self.unoccluded, "pilot": self.pilot_moment}
+        return cap_basis(self.bandlimit, half_angle, kernel=kernels[kind])
+
+    @cache
+    def exit_radiance(self, half_angle: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Orthonormal radial coefficients and orders that span D_t g_i, i = 1, 2, …; see `_slepian`."""
+        functions = self.functions("plain", half_angle)
+        radial = functions.radial * self.unoccluded
+        kept: list[int] = []
+        done: dict[int, list[NDArray]] = {}
+        for i, m in enumerate(functions.orders):
+            v = radial[i]
+            norm = float(np.linalg.norm(v))
+            for _ in (1, 2):  # Gram-Schmidt twice is enough (Giraud et al. 2005)
+                for earlier in done.get(int(m), []):
+                    v = v - (earlier @ v) * earlier
+            rest = float(np.linalg.norm(v))
+            if rest > 1e-9 * norm and norm > 0.0:
+                radial[i] = v / rest
+                done.setdefault(int(m), []).append(radial[i])
+                kept.append(i)
+        return radial[kept], functions.orders[kept]
+
+    @cache
+    def moment_factors(self, half_angle: float) -> list[NDArray[np.float64]]:
+        """Factors of the pilot's second moment over a cap of that half-angle, by which errors are predicted."""
+        return cap_moment_factors(self.bandlimit, half_angle, self.pilot_moment)
+
+
+def shared_half_angle(half_angle: float) -> float:
+    """The next larger of a geometric series of half-angles; 0 stays 0."""
+    if half_angle == 0.0:
+        return 0.0
+    return min(math.pi, _ANGLE_STEP ** math.ceil(math.log(half_angle) / math.log(_ANGLE_STEP) - 1e-9))
+
+
+# --- The bases -------------------------------------------------------------------------------------------------------
+
+
+def _sh(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+    """Spherical harmonics in the order of their index."""
+    in_cap_frame = rotate_sh(np.eye(num_coefficients(problem.bandlimit)), rotation_to(cap.center).T)
+    return _predicted(problem, cap, in_cap_frame, lambda k: LinearBasis(cap.center, problem.bandlimit, k))
+
+
+def _slepian(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+    """The paper's method: Slepian functions of the cap of normals, for exit radiance.
+
+    B(n) ≈ Σ_{i<=K} b̄_i g_i(n) with b_lm = A_l e_lm (Lessig & Fiume, Eq. 8) is, for the transfer vector, the span of
+    D_t g_i with D_t = diag(A_l). It is orthonormalised in the order of concentration, each order m by itself.
+    Functions that the kernel maps into the span of earlier ones (it has no odd degree above 1) are left out.
+    """
+    return _radial_candidate(problem, cap, *problem.exit_radiance(shared_half_angle(cap.half_angle)))
+
+
+def _direct(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+    """What not to do: transfer vectors projected on the Slepian functions of the cap of *normals* themselves.
+
+    Transfer fills the hemisphere about the normal, not the cap.
+    """
+    return _of_functions(problem, cap, "plain", cap.half_angle)
+
+
+def _incident(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+    """Slepian functions of the cap Θ + 90° that holds all transport of the cluster."""
+    return _of_functions(problem, cap, "plain", min(math.pi, cap.half_angle + math.pi / 2))
+
+
+def _transport(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+    """Eigenvectors of unoccluded transport's second moment over the cap."""
+    return _of_functions(problem, cap, "unoccluded", cap.half_angle)
+
+
+def _adapted(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+    """Eigenvectors of the pilot's second moment over the cap: knows about shadows."""
+    return _of_functions(problem, cap, "pilot", cap.half_angle)
+
+
+def _cpca(problem: Problem, cap: Cap, members: NDArray) -> Candidate:
+    """Mean and principal components of the cluster (Sloan et al., SIGGRAPH 2003), the clusters being the caps.
+
+    The first of K terms is the mean, whose coefficient is one and is not stored.
+    """
+    size = num_coefficients(problem.bandlimit)
+    vectors = problem.vectors[members].astype(np.float64)
+    mean = vectors.mean(axis=0) if members.size else np.zeros(size)
+    centred = vectors - mean
+    variances, components = np.linalg.eigh(centred.T @ centred / max(members.size, 1))
+    variances, components = np.maximum(variances[::-1], 0.0), components[:, ::-1].T
+    energies = np.concatenate([[mean @ mean], variances])[:size]
+
+    def cut(k: int) -> LinearBasis:
+        return LinearBasis(
+            cap.center,
+            problem.bandlimit,
+            k - 1,
+            dense=components[: k - 1].astype(np.float32),
+            mean=mean.astype(np.float32),
+        )
+
+    return Candidate(energies, float(mean @ mean + variances.sum()), cut)
+
+
+BASES: dict[str, Callable[[Problem, Cap, NDArray], Candidate]] = {
+    "adapted": _adapted,
+    "transport": _transport,
+    "slepian": _slepian,
+    "incident": _incident,
+    "sh": _sh,
+    "cpca": _cpca,
+    "direct": _direct,
+}
+
+
+def candidates(name: str, problem: Problem) -> list[Candidate]:
+    """One candidate per cap of the problem.
+
+    Raises
+    ------
+    ValueError
+        Unknown name.
+    """
+    if name not in BASES:
+        raise ValueError(f"basis must be one of {', '.join(BASES)}, not {name!r}")
+    pairs = zip(problem.clusters.caps, problem.clusters.members, strict=True)
+    return [BASES[name](problem, cap, members) for cap, members in pairs]
+
+
+def _of_functions(problem: Problem, cap: Cap, kind: str, half_angle: float) -> Candidate:
+    functions = problem.functions(kind, shared_half_angle(half_angle))
+    return _radial_candidate(problem, cap, functions.radial, functions.orders)
+
+
+def _radial_candidate(problem: Problem, cap: Cap, radial: NDArray, orders: NDArray) -> Candidate:
+    def cut(k: int) -> LinearBasis:
+        return LinearBasis(
+            cap.center,
+            problem.bandlimit,
+            min(k, len(orders)),
+            orders=orders[:k].astype(np.int16),
+            radial=radial[:k].astype(np.float32),
+        )
+
+    return _predicted(problem, cap, scatter_radial(radial, orders), cut)
+
+
+def _predicted(problem: Problem, cap: Cap, in_cap_frame: NDArray, cut: Callable[[int], LinearBasis]) -> Candidate:
+    """A candidate of orthonormal functions, (K_max, (L+1)²) in the cap's frame, with what the pilot lets expect."""
+    factors = problem.moment_factors(shared_half_angle(cap.half_angle))
+    total = sum((1 if m == 0 else 2) * float(np.sum(f * f)) for m, f in enumerate(factors))
+    return Candidate(_energies(in_cap_frame, factors), total, cut)
+
+
+def _energies(in_cap_frame: NDArray, factors: list[NDArray]) -> NDArray[np.float64]:
+    """fᵀ C_U f of functions given in the cap's frame, (K, (L+1)²)."""
+    bandlimit = len(factors) - 1
+    l = np.arange(bandlimit + 1)
+    energies = np.zeros(len(in_cap_frame))
+    for m, factor in enumerate(factors):
+        column = l[m:] * (l[m:] + 1)
+        for sign in (1,) if m == 0 else (1, -1):
+            energies += np.sum((in_cap_frame[:, column + sign * m] @ factor.T) ** 2, axis=1)
+    return energies

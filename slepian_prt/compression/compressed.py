@@ -1,0 +1,322 @@
+"""Compressed transfer: made from transfer vectors, reconstructed, and written to a file."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import slepian_prt
+from slepian_prt.compression import archive, truncation
+from slepian_prt.compression.bases import BASES, Candidate, LinearBasis, Problem, candidates
+from slepian_prt.compression.clusters import Clusters, cluster_normals
+from slepian_prt.errors import UserError, check_epsilon, check_terms
+from slepian_prt.scene.meshes import Mesh
+from slepian_prt.scene.scenes import Part
+from slepian_prt.sphere.caps import Cap
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.transfer import Transfer
+
+DEFAULT_CLUSTERS = 96
+DEFAULT_TOLERANCE = 0.02
+CODINGS = {"float32": np.float32, "float16": np.float16}
+
+
+@dataclass(frozen=True)
+class CompressedTransfer:
+    """Everything needed to relight a scene.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    parts : tuple of Part
+    bandlimit : int
+    basis : str
+        Name of the basis.
+    bases : tuple of LinearBasis
+        One per cap.
+    clusters : Clusters
+    coefficients : tuple of (n_c, K_c) arrays, float32 or float16
+        In the order of ``clusters.members``.
+    predicted_error : float
+        Relative RMS error of the transfer vectors that the basis's own model of transport expects.
+    effects : tuple of Effect
+    samples, seed, rays_traced : int
+    seconds : dict of str to float
+    source : str
+    """
+
+    mesh: Mesh
+    parts: tuple[Part, ...]
+    bandlimit: int
+    basis: str
+    bases: tuple[LinearBasis, ...]
+    clusters: Clusters
+    coefficients: tuple[NDArray, ...]
+    predicted_error: float
+    effects: tuple[Effect, ...]
+    samples: int
+    seed: int
+    rays_traced: int
+    seconds: dict[str, float] = field(default_factory=dict)
+    source: str = ""
+
+    @property
+    def terms(self) -> float:
+        """Mean number of functions per vertex, the mean of ``cpca`` counted as one."""
+        sizes = np.array([len(c) for c in self.coefficients])
+        counts = np.array([basis.count + (basis.mean is not None) for basis in self.bases])
+        return float((sizes * counts).sum() / sizes.sum())
+
+    @cached_property
+    def bytes_per_vertex(self) -> float:
+        """Bytes in the file per vertex for coefficients, bases, caps and cluster indices; the mesh is not counted."""
+        return archive.encoded_size(self._transfer_arrays()) / len(self.mesh.positions)
+
+    def reconstruct(self) -> NDArray[np.float32]:
+        """(V, (L+1)²) transfer vectors as the file has them."""
+        vectors = np.empty((len(self.mesh.positions), num_coefficients(self.bandlimit)), dtype=np.float32)
+        for members, basis, values in zip(self.clusters.members, self.bases, self.coefficients, strict=True):
+            vectors[members] = basis.reconstruct(values)
+        vectors[~self.mesh.receivers] = 0.0
+        return vectors
+
+    def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
+        """(V, 3) outgoing radiance under lighting (3, (L+1)²), straight from the coefficients."""
+        result = np.empty((len(self.mesh.positions), 3), dtype=np.float32)
+        for members, basis, values in zip(self.clusters.members, self.bases, self.coefficients, strict=True):
+            functions, mean = basis.light(lighting)
+            result[members] = values.astype(np.float32) @ functions.astype(np.float32) + mean
+        result[~self.mesh.receivers] = 0.0
+        return result * self.mesh.albedo
+
+    # --- File --------------------------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Write a ``.prt`` file: complete or not at all.
+
+        Raises
+        ------
+        UserError
+            The folder is missing or not writable, or the disk is full.
+        """
+        manifest = {
+            "bandlimit": self.bandlimit,
+            "basis": self.basis,
+            "parts": [[part.name, part.first, part.count] for part in self.parts],
+            "name": self.mesh.name,
+            "notes": list(self.mesh.notes),
+            "predicted_error": self.predicted_error,
+            "effects": [effect.as_dict() for effect in self.effects],
+            "samples": self.samples,
+            "seed": self.seed,
+            "rays_traced": self.rays_traced,
+            "seconds": self.seconds,
+            "source": self.source,
+            "written_by": f"slepian_prt {slepian_prt.__version__}",
+        }
+        mesh = {
+            "mesh/positions": self.mesh.positions,
+            "mesh/normals": self.mesh.normals.astype(np.float32),
+            "mesh/faces": self.mesh.faces,
+            "mesh/albedo": self.mesh.albedo,
+        }
+        archive.write(path, manifest, {**mesh, **self._transfer_arrays()})
+
+    def _transfer_arrays(self) -> dict[str, NDArray]:
+        caps = self.clusters.caps
+        arrays: dict[str, NDArray] = {
+            "clusters/index": self.clusters.index.astype(np.uint8 if len(caps) <= 256 else np.uint16),
+            "caps/center": np.array([cap.center for cap in caps]),
+            "caps/half_angle": np.array([cap.half_angle for cap in caps]),
+            "caps/terms": np.array([basis.count for basis in self.bases], dtype=np.uint16),
+            "coefficients": np.concatenate([values.ravel() for values in self.coefficients]),
+        }
+        for name in ("orders", "radial", "dense", "mean"):
+            parts = [getattr(basis, name) for basis in self.bases]
+            if parts[0] is not None:
+                arrays[f"basis/{name}"] = np.concatenate([np.atleast_1d(part).ravel() for part in parts])
+        return arrays
+
+
+def load(path: str | Path) -> CompressedTransfer:
+    """Read a ``.prt`` file.
+
+    Raises
+    ------
+    UserError
+        Missing, foreign, cut short, damaged, or from a newer version.
+    """
+    manifest, arrays = archive.read(path)
+    try:
+        return _from_archive(manifest, arrays)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise UserError(f"{path}: its contents do not fit together ({error!r}); precompute it again") from None
+
+
+def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> CompressedTransfer:
+    bandlimit = int(manifest["bandlimit"])
+    size = num_coefficients(bandlimit)
+    mesh = Mesh(
+        manifest["name"],
+        arrays["mesh/positions"],
+        arrays["mesh/normals"].astype(np.float64),
+        arrays["mesh/faces"],
+        arrays["mesh/albedo"],
+        tuple(manifest["notes"]),
+    )
+    caps = tuple(Cap(c, float(a)) for c, a in zip(arrays["caps/center"], arrays["caps/half_angle"], strict=True))
+    clusters = Clusters(arrays["clusters/index"].astype(np.int32), caps)
+    terms = arrays["caps/terms"].astype(np.int64)
+    starts = np.cumsum(terms)[:-1]
+    count = len(caps)
+
+    def split(name: str, width: int | None) -> list[Any]:
+        if name not in arrays:
+            return [None] * count
+        rows = arrays[name] if width is None else arrays[name].reshape(-1, width)
+        return list(rows) if len(rows) == count and name == "basis/mean" else np.split(rows, starts)
+
+    bases = tuple(
+        LinearBasis(cap.center, bandlimit, int(k), orders, radial, dense, mean)
+        for cap, k, orders, radial, dense, mean in zip(
+            caps,
+            terms,
+            split("basis/orders", None),
+            split("basis/radial", bandlimit + 1),
+            split("basis/dense", size),
+            split("basis/mean", size),
+            strict=True,
+        )
+    )
+    sizes = np.array([len(members) for members in clusters.members])
+    lengths = sizes * terms
+    if lengths.sum() != arrays["coefficients"].size:
+        raise ValueError("number of coefficients")
+    pieces = np.split(arrays["coefficients"], np.cumsum(lengths)[:-1])
+    coefficients = tuple(piece.reshape(n, k) for piece, n, k in zip(pieces, sizes, terms, strict=True))
+    return CompressedTransfer(
+        mesh,
+        tuple(Part(name, first, number) for name, first, number in manifest["parts"]),
+        bandlimit,
+        manifest["basis"],
+        bases,
+        clusters,
+        coefficients,
+        float(manifest["predicted_error"]),
+        tuple(Effect(**effect) for effect in manifest["effects"]),
+        int(manifest["samples"]),
+        int(manifest["seed"]),
+        int(manifest["rays_traced"]),
+        dict(manifest["seconds"]),
+        manifest["source"],
+    )
+
+
+# --- Compression -----------------------------------------------------------------------------------------------------
+
+
+def compress(
+    transfer: Transfer,
+    basis: str = "adapted",
+    *,
+    tolerance: float | None = None,
+    terms: int | None = None,
+    truncate: str | None = None,
+    epsilon: float = 0.01,
+    clusters: int | Clusters = DEFAULT_CLUSTERS,
+    coding: str = "float32",
+) -> CompressedTransfer:
+    """Cluster, project, truncate and code transfer vectors.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    basis : one of adapted, transport, slepian, incident, sh, cpca, direct, none
+        ``none`` keeps all (L+1)² spherical harmonics.
+    tolerance : float > 0
+        Truncate where the predicted relative error of the transfer vectors is below it. The default, at 0.02.
+    terms : int
+        Instead: this many functions in each cap.
+    truncate : n_g, n_ref or count
+        Instead: the Shannon number of each cap, with ``epsilon``.
+    clusters : int, or Clusters made before
+    coding : float32 or float16
+
+    Raises
+    ------
+    ValueError
+        An unknown name, a number outside its range, or more than one truncation rule.
+    """
+    rules = [name for name, value in (("tolerance", tolerance), ("terms", terms), ("truncate", truncate))
+             if value is not None]
+    if len(rules) > 1:
+        raise ValueError(f"only one of tolerance, terms and truncate may be given, not {' and '.join(rules)}")
+    if basis not in (*BASES, "none"):
+        raise ValueError(f"basis must be one of {', '.join((*BASES, 'none'))}, not {basis!r}")
+    if coding not in CODINGS:
+        raise ValueError(f"coding must be one of {', '.join(CODINGS)}, not {coding!r}")
+    started = time.perf_counter()
+    if basis == "none":
+        basis, terms, tolerance, truncate, clusters = "sh", num_coefficients(transfer.bandlimit), None, None, 1
+        label = "none"
+    else:
+        label = basis
+    if not isinstance(clusters, Clusters):
+        clusters = cluster_normals(transfer.normals, clusters)
+    problem = Problem(transfer.bandlimit, clusters, transfer.normals, transfer.vectors[:, 0], transfer.seed)
+    found = candidates(basis, problem)
+    sizes = np.array([len(members) for members in clusters.members])
+    counts = _terms(found, clusters, transfer.bandlimit, sizes, tolerance, terms, truncate, epsilon)
+    bases = tuple(candidate.cut(int(k)) for candidate, k in zip(found, counts, strict=True))
+    coefficients = tuple(
+        b.project(problem.vectors[members]).astype(CODINGS[coding])
+        for b, members in zip(bases, clusters.members, strict=True)
+    )
+    seconds = {**transfer.seconds, "compress": time.perf_counter() - started}
+    return CompressedTransfer(
+        transfer.mesh,
+        transfer.parts,
+        transfer.bandlimit,
+        label,
+        bases,
+        clusters,
+        coefficients,
+        truncation.predicted_error(found, counts, sizes),
+        transfer.effects,
+        transfer.samples,
+        transfer.seed,
+        transfer.rays_traced,
+        seconds,
+        transfer.source,
+    )
+
+
+def _terms(
+    found: list[Candidate],
+    clusters: Clusters,
+    bandlimit: int,
+    sizes: NDArray,
+    tolerance: float | None,
+    terms: int | None,
+    truncate: str | None,
+    epsilon: float,
+) -> NDArray[np.int64]:
+    if terms is not None:
+        return truncation.by_terms(found, check_terms(terms, num_coefficients(bandlimit)))
+    if truncate is not None:
+        if truncate not in truncation.TRUNCATIONS:
+            raise ValueError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {truncate!r}")
+        return truncation.by_shannon(found, clusters.caps, bandlimit, truncate, check_epsilon(epsilon))
+    wanted = DEFAULT_TOLERANCE if tolerance is None else tolerance
+    if not (math.isfinite(wanted) and wanted > 0.0):
+        raise ValueError(f"tolerance must be a positive number, not {tolerance!r}")
+    return truncation.by_tolerance(found, sizes, wanted)
+

@@ -1,0 +1,1 @@
+"""Transfer meets light: radiance per vertex, coloured meshes and pictures."""
