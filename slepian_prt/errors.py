@@ -31,9 +31,9 @@ def check_bandlimit(bandlimit: Any, name: str = "bandlimit", largest: int = 1000
     try:
         value = operator.index(bandlimit)
     except TypeError:
-        raise ValueError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}") from None
+        raise UserError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}") from None
     if isinstance(bandlimit, bool) or not 0 <= value <= largest:
-        raise ValueError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}")
+        raise UserError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}")
     return value
 
 
@@ -52,9 +52,9 @@ def check_terms(terms: Any, largest: int, name: str = "terms") -> int:
     try:
         value = operator.index(terms)
     except TypeError:
-        raise ValueError(f"{name} must be an integer in [1, {largest}], not {terms!r}") from None
+        raise UserError(f"{name} must be an integer in [1, {largest}], not {terms!r}") from None
     if isinstance(terms, bool) or not 1 <= value <= largest:
-        raise ValueError(f"{name} must be an integer in [1, {largest}], not {terms!r}")
+        raise UserError(f"{name} must be an integer in [1, {largest}], not {terms!r}")
     return value
 
 
@@ -68,13 +68,13 @@ def check_directions(directions: ArrayLike, name: str = "directions") -> NDArray
     """
     vectors = np.atleast_2d(np.asarray(directions, dtype=np.float64))
     if vectors.ndim != 2 or vectors.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (n, 3), not {np.shape(directions)}")
+        raise UserError(f"{name} must have shape (n, 3), not {np.shape(directions)}")
     # Scaled by the largest component first, so that neither 1e-200 nor 1e200 leaves the range when squared.
     scale = np.abs(vectors).max(axis=1, keepdims=True, initial=0.0)
     bad = ~(np.isfinite(scale) & (scale > 0.0))[:, 0]
     if bad.any():
         first = int(np.argmax(bad))
-        raise ValueError(f"{name}[{first}] must be finite and not zero, not {vectors[first].tolist()}")
+        raise UserError(f"{name}[{first}] must be finite and not zero, not {vectors[first].tolist()}")
     scaled = vectors / scale
     return scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
 
@@ -83,7 +83,7 @@ def _check_real(value: Any, name: str, interval: str, inside: Callable[[float], 
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} must be a number in {interval}, not {value!r}") from None
+        raise UserError(f"{name} must be a number in {interval}, not {value!r}") from None
     if not inside(number):
-        raise ValueError(f"{name} must be a number in {interval}, not {value!r}")
+        raise UserError(f"{name} must be a number in {interval}, not {value!r}")
     return number

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache, cached_property
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.clusters import Clusters
+from slepian_prt.errors import UserError
 from slepian_prt.slepian.concentration import CapBasis, cap_basis, cap_moment_factors, scatter_radial
 from slepian_prt.slepian.kernels import SecondMoment, cosine_lobe, measured_moment
 from slepian_prt.sphere.caps import Cap
@@ -107,6 +109,7 @@ class Problem:
     normals: NDArray[np.float64]
     vectors: NDArray[np.float32]
     seed: int = 0
+    _solved: dict[tuple[str, float], Any] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def unoccluded(self) -> NDArray[np.float64]:
@@ -124,15 +127,27 @@ class Problem:
         to_local = np.swapaxes(rotation_to(self.normals[pilot]), -1, -2)
         return measured_moment(rotate_sh(self.vectors[pilot], to_local))
 
-    @cache
     def functions(self, kind: str, half_angle: float) -> CapBasis:
         """Concentrated functions of a cap about z, solved once for all caps of that (shared) half-angle."""
-        kernels = {"plain": None, "unoccluded": self.unoccluded, "pilot": self.pilot_moment}
-        return cap_basis(self.bandlimit, half_angle, kernel=kernels[kind])
+        kernel = {"plain": None, "unoccluded": self.unoccluded, "pilot": self.pilot_moment}[kind]
+        return self._once(kind, half_angle, lambda: cap_basis(self.bandlimit, half_angle, kernel=kernel))
 
-    @cache
+    def moment_factors(self, half_angle: float) -> list[NDArray[np.float64]]:
+        """Factors of the pilot's second moment over a cap of that half-angle, by which errors are predicted."""
+        return self._once(
+            "moment", half_angle, lambda: cap_moment_factors(self.bandlimit, half_angle, self.pilot_moment)
+        )
+
     def exit_radiance(self, half_angle: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Orthonormal radial coefficients and orders that span D_t g_i, i = 1, 2, …; see `_slepian`."""
+        return self._once("exit", half_angle, lambda: self._exit_radiance(half_angle))
+
+    def _once(self, kind: str, half_angle: float, solve: Callable[[], Any]) -> Any:
+        if (kind, half_angle) not in self._solved:
+            self._solved[kind, half_angle] = solve()
+        return self._solved[kind, half_angle]
+
+    def _exit_radiance(self, half_angle: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         functions = self.functions("plain", half_angle)
         radial = functions.radial * self.unoccluded
         kept: list[int] = []
@@ -149,11 +164,6 @@ class Problem:
                 done.setdefault(int(m), []).append(radial[i])
                 kept.append(i)
         return radial[kept], functions.orders[kept]
-
-    @cache
-    def moment_factors(self, half_angle: float) -> list[NDArray[np.float64]]:
-        """Factors of the pilot's second moment over a cap of that half-angle, by which errors are predicted."""
-        return cap_moment_factors(self.bandlimit, half_angle, self.pilot_moment)
 
 
 def shared_half_angle(half_angle: float) -> float:
@@ -250,7 +260,7 @@ def candidates(name: str, problem: Problem) -> list[Candidate]:
         Unknown name.
     """
     if name not in BASES:
-        raise ValueError(f"basis must be one of {', '.join(BASES)}, not {name!r}")
+        raise UserError(f"basis must be one of {', '.join(BASES)}, not {name!r}")
     pairs = zip(problem.clusters.caps, problem.clusters.members, strict=True)
     return [BASES[name](problem, cap, members) for cap, members in pairs]
 

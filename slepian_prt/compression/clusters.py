@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.errors import UserError
 from slepian_prt.sphere.caps import Cap, minimal_enclosing_cap
 from slepian_prt.sphere.quadrature import spherical_fibonacci
 
@@ -55,12 +56,12 @@ def cluster_normals(normals: NDArray, count: int) -> Clusters:
     try:
         wanted = operator.index(count)
     except TypeError:
-        raise ValueError(f"clusters must be a positive integer, not {count!r}") from None
+        raise UserError(f"clusters must be a positive integer, not {count!r}") from None
     lit = np.flatnonzero(np.any(normals != 0.0, axis=1))
     if wanted < 1:
-        raise ValueError(f"clusters must be a positive integer, not {count!r}")
+        raise UserError(f"clusters must be a positive integer, not {count!r}")
     if lit.size == 0:
-        raise ValueError("normals must hold at least one that is not zero")
+        raise UserError("normals must hold at least one that is not zero")
     unit = normals[lit]
     centers = spherical_fibonacci(wanted)
     nearest, cosine = _assign(unit, centers)

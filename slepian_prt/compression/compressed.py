@@ -16,16 +16,17 @@ import slepian_prt
 from slepian_prt.compression import archive, truncation
 from slepian_prt.compression.bases import BASES, Candidate, LinearBasis, Problem, candidates
 from slepian_prt.compression.clusters import Clusters, cluster_normals
-from slepian_prt.errors import UserError, check_epsilon, check_terms
+from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.scene.scenes import Part
 from slepian_prt.sphere.caps import Cap
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Transfer
+from slepian_prt.transport.transfer import LARGEST_BANDLIMIT, Transfer
 
 DEFAULT_CLUSTERS = 96
 DEFAULT_TOLERANCE = 0.02
+LARGEST_CLUSTERS = 4096
 CODINGS = {"float32": np.float32, "float16": np.float16}
 
 
@@ -255,14 +256,8 @@ def compress(
     ValueError
         An unknown name, a number outside its range, or more than one truncation rule.
     """
-    rules = [name for name, value in (("tolerance", tolerance), ("terms", terms), ("truncate", truncate))
-             if value is not None]
-    if len(rules) > 1:
-        raise ValueError(f"only one of tolerance, terms and truncate may be given, not {' and '.join(rules)}")
-    if basis not in (*BASES, "none"):
-        raise ValueError(f"basis must be one of {', '.join((*BASES, 'none'))}, not {basis!r}")
-    if coding not in CODINGS:
-        raise ValueError(f"coding must be one of {', '.join(CODINGS)}, not {coding!r}")
+    wanted = clusters if isinstance(clusters, int) else 1
+    check_options(basis, tolerance, terms, truncate, epsilon, wanted, coding, transfer.bandlimit)
     started = time.perf_counter()
     if basis == "none":
         basis, terms, tolerance, truncate, clusters = "sh", num_coefficients(transfer.bandlimit), None, None, 1
@@ -299,6 +294,39 @@ def compress(
     )
 
 
+def check_options(
+    basis: str,
+    tolerance: float | None,
+    terms: int | None,
+    truncate: str | None,
+    epsilon: float,
+    clusters: int,
+    coding: str,
+    bandlimit: int,
+) -> None:
+    """Raise UserError, before any work, if `compress` would refuse these."""
+    check_bandlimit(bandlimit, largest=LARGEST_BANDLIMIT)
+    rules = {"tolerance": tolerance, "terms": terms, "truncate": truncate}
+    given = [name for name, value in rules.items() if value is not None]
+    if len(given) > 1:
+        raise UserError(f"only one of tolerance, terms and truncate may be given, not {' and '.join(given)}")
+    if basis not in (*BASES, "none"):
+        raise UserError(f"basis must be one of {', '.join((*BASES, 'none'))}, not {basis!r}")
+    if basis == "none" and given:
+        raise UserError(f"basis none keeps all functions; leave out {given[0]}, or choose another basis")
+    if terms is not None:
+        check_terms(terms, num_coefficients(bandlimit))
+    if truncate is not None and truncate not in truncation.TRUNCATIONS:
+        raise UserError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {truncate!r}")
+    if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
+        raise UserError(f"tolerance must be a positive number, not {tolerance!r}")
+    check_epsilon(epsilon)
+    if not isinstance(clusters, int | np.integer) or not 1 <= clusters <= LARGEST_CLUSTERS:
+        raise UserError(f"clusters must be an integer in [1, {LARGEST_CLUSTERS}], not {clusters!r}")
+    if coding not in CODINGS:
+        raise UserError(f"coding must be one of {', '.join(CODINGS)}, not {coding!r}")
+
+
 def _terms(
     found: list[Candidate],
     clusters: Clusters,
@@ -310,13 +338,7 @@ def _terms(
     epsilon: float,
 ) -> NDArray[np.int64]:
     if terms is not None:
-        return truncation.by_terms(found, check_terms(terms, num_coefficients(bandlimit)))
+        return truncation.by_terms(found, terms)
     if truncate is not None:
-        if truncate not in truncation.TRUNCATIONS:
-            raise ValueError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {truncate!r}")
-        return truncation.by_shannon(found, clusters.caps, bandlimit, truncate, check_epsilon(epsilon))
-    wanted = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    if not (math.isfinite(wanted) and wanted > 0.0):
-        raise ValueError(f"tolerance must be a positive number, not {tolerance!r}")
-    return truncation.by_tolerance(found, sizes, wanted)
-
+        return truncation.by_shannon(found, clusters.caps, bandlimit, truncate, epsilon)
+    return truncation.by_tolerance(found, sizes, DEFAULT_TOLERANCE if tolerance is None else tolerance)

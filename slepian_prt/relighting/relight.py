@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import UserError
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import Transfer
 
@@ -31,7 +32,7 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
     light = np.asarray(lighting, dtype=np.float64)
     wanted = (3, num_coefficients(transfer.bandlimit))
     if light.shape != wanted:
-        raise ValueError(f"lighting must have shape {wanted} for bandlimit {transfer.bandlimit}, not {light.shape}")
+        raise UserError(f"lighting must have shape {wanted} for bandlimit {transfer.bandlimit}, not {light.shape}")
     if isinstance(transfer, CompressedTransfer):
         return transfer.radiance(light)
     return (transfer.vectors[:, 0] @ light.T.astype(np.float32)) * transfer.mesh.albedo

@@ -118,21 +118,21 @@ def sensor(mi: Any, scene: Scene, width: int, samples: int = 16) -> Any:
     right = np.cross([0.0, 1.0, 0.0], view)
     right /= np.linalg.norm(right)
     up = np.cross(view, right)
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    offsets = corners - center
+    framed = scene.traced_positions[scene.mesh.receivers]
+    x, y = framed @ right, framed @ up
+    target = 0.5 * (right * (x.min() + x.max()) + up * (y.min() + y.max())) + view * (view @ center)
+    offsets = framed - target
     tangent = math.tan(math.radians(fov / 2))
     depth = offsets @ view
-    half_height = float(np.max(np.abs(offsets @ up)))
-    half_width = float(np.max(np.abs(offsets @ right)))
-    aspect = float(np.clip(half_width / max(half_height, 1e-6), 0.6, 1.8))
-    distance = 1.06 * max(
+    aspect = float(np.clip(np.ptp(x) / max(np.ptp(y), 1e-9), 0.6, 1.8))
+    distance = 1.05 * max(
         float(np.max(np.abs(offsets @ up) / tangent + depth)),
         float(np.max(np.abs(offsets @ right) / (tangent * aspect) + depth)),
         1.2 * radius,
     )
     height = max(1, round(width / aspect))
     to_world = mi.ScalarTransform4f().look_at(
-        origin=(center + distance * view).tolist(), target=center.tolist(), up=[0, 1, 0]
+        origin=(target + distance * view).tolist(), target=target.tolist(), up=[0, 1, 0]
     )
     return mi.load_dict(
         {
@@ -147,9 +147,9 @@ def sensor(mi: Any, scene: Scene, width: int, samples: int = 16) -> Any:
                 "width": width,
                 "height": height,
                 "pixel_format": "rgba",
-                "rfilter": {"type": "gaussian"},
+                "rfilter": {"type": "box"},
             },
-            "sampler": {"type": "independent", "sample_count": samples},
+            "sampler": {"type": "multijitter", "sample_count": samples},
         }
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import check_bandlimit, check_directions, check_half_angle
+from slepian_prt.errors import UserError, check_bandlimit, check_directions, check_half_angle
 from slepian_prt.slepian.kernels import SecondMoment
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
@@ -138,7 +138,7 @@ def cap_basis(
     half_angle = check_half_angle(half_angle)
     center = check_directions(center, "center")[0]
     if threshold is not None and not threshold >= 0.0:
-        raise ValueError(f"threshold must be >= 0, not {threshold!r}")
+        raise UserError(f"threshold must be >= 0, not {threshold!r}")
     last_order = 0 if radially_symmetric else bandlimit
     if kernel is None:
         blocks, values, leakages = _plain_blocks(bandlimit, half_angle, last_order, threshold)
@@ -238,11 +238,11 @@ def cap_moment_factors(
     nodes = nodes._replace(weights=weights / (2.0 * math.pi))
     if isinstance(kernel, SecondMoment):
         if kernel.bandlimit != bandlimit:
-            raise ValueError(f"kernel must have bandlimit {bandlimit}, not {kernel.bandlimit}")
+            raise UserError(f"kernel must have bandlimit {bandlimit}, not {kernel.bandlimit}")
         return _averaged_moment_factors(kernel, nodes, last_order)
     zonal = np.asarray(kernel, dtype=np.float64)
     if zonal.shape != (bandlimit + 1,) or not np.all(np.isfinite(zonal)):
-        raise ValueError(f"kernel must hold {bandlimit + 1} finite zonal coefficients, not shape {zonal.shape}")
+        raise UserError(f"kernel must hold {bandlimit + 1} finite zonal coefficients, not shape {zonal.shape}")
     return [_sampled_order(bandlimit, m, nodes) * zonal[m:] for m in range(last_order + 1)]
 
 

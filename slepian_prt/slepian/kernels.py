@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import eval_legendre
 
-from slepian_prt.errors import check_bandlimit
+from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.sphere.quadrature import gauss_legendre
 
@@ -33,7 +33,7 @@ def cosine_lobe(bandlimit: int, exponent: float = 1.0) -> NDArray[np.float64]:
     """
     bandlimit = check_bandlimit(bandlimit)
     if not (math.isfinite(exponent) and exponent > 0.0):
-        raise ValueError(f"exponent must be positive and finite, not {exponent!r}")
+        raise UserError(f"exponent must be positive and finite, not {exponent!r}")
     t = np.empty(bandlimit + 1)
     for l in range(bandlimit + 1):
         if l == 0:
@@ -99,7 +99,7 @@ def measured_moment(local_vectors: ArrayLike) -> SecondMoment:
     x = np.asarray(local_vectors, dtype=np.float64)
     bandlimit = math.isqrt(x.shape[-1]) - 1 if x.ndim == 2 else -1
     if x.ndim != 2 or x.shape[0] == 0 or num_coefficients(bandlimit) != x.shape[1]:
-        raise ValueError(f"local_vectors must have shape (n, (L+1)^2) with n >= 1, not {x.shape}")
+        raise UserError(f"local_vectors must have shape (n, (L+1)^2) with n >= 1, not {x.shape}")
     l = np.arange(bandlimit + 1)
     factors = []
     for m in range(bandlimit + 1):

@@ -6,7 +6,7 @@ import math
 
 from scipy.special import loggamma
 
-from slepian_prt.errors import check_bandlimit, check_epsilon, check_half_angle
+from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
 from slepian_prt.slepian.concentration import cap_basis
 from slepian_prt.sphere.caps import cap_area, cap_boundary
 
@@ -34,7 +34,7 @@ def generalized_shannon_number(
     """
     bandlimit, half_angle, epsilon = check_bandlimit(bandlimit), check_half_angle(half_angle), check_epsilon(epsilon)
     if not (math.isfinite(log_base) and log_base > 1.0):
-        raise ValueError(f"log_base must be finite and above 1, not {log_base!r}")
+        raise UserError(f"log_base must be finite and above 1, not {log_base!r}")
     k = bandlimit + 1
     region = 4.0 * k * half_angle if radially_symmetric else k * k * cap_area(half_angle)
     number = region / (4.0 * math.pi)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from slepian_prt.errors import check_directions, check_half_angle
+from slepian_prt.errors import UserError, check_directions, check_half_angle
 
 
 class Cap(NamedTuple):
@@ -62,7 +62,7 @@ def minimal_enclosing_cap(directions: ArrayLike) -> Cap:
     """
     points = check_directions(directions)
     if points.shape[0] == 0:
-        raise ValueError("directions must hold at least one direction, not 0")
+        raise UserError("directions must hold at least one direction, not 0")
     mean = points.mean(axis=0)
     start = int(np.argmax(angular_distance(points, mean / np.linalg.norm(mean)))) if np.linalg.norm(mean) > 0 else 0
     support = [start]

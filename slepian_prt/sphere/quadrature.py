@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import check_half_angle
+from slepian_prt.errors import UserError, check_half_angle
 from slepian_prt.sphere.rotation import rotation_to
 
 
@@ -170,7 +170,7 @@ def _check_count(n: int, name: str = "n") -> int:
     try:
         value = operator.index(n)
     except TypeError:
-        raise ValueError(f"{name} must be a positive integer, not {n!r}") from None
+        raise UserError(f"{name} must be a positive integer, not {n!r}") from None
     if value < 1:
-        raise ValueError(f"{name} must be a positive integer, not {n!r}")
+        raise UserError(f"{name} must be a positive integer, not {n!r}")
     return value

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import check_bandlimit, check_directions
+from slepian_prt.errors import UserError, check_bandlimit, check_directions
 from slepian_prt.sphere.harmonics import num_coefficients
 
 
@@ -69,7 +69,7 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[np.float6
     r = np.asarray(rotation, dtype=np.float64)
     bandlimit = round(np.sqrt(c.shape[-1])) - 1 if c.ndim else -1
     if c.ndim == 0 or num_coefficients(bandlimit) != c.shape[-1]:
-        raise ValueError(f"coefficients must have a last axis of (L+1)^2 entries, not shape {c.shape}")
+        raise UserError(f"coefficients must have a last axis of (L+1)^2 entries, not shape {c.shape}")
     alpha, beta, gamma = _euler_zyz(r)
     shape = np.broadcast_shapes(c.shape[:-1], alpha.shape)
     alpha, beta, gamma = (np.broadcast_to(angle, shape) for angle in (alpha, beta, gamma))
@@ -123,10 +123,10 @@ def _euler_zyz(rotation: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     but their errors then cancel.
     """
     if rotation.shape[-2:] != (3, 3):
-        raise ValueError(f"rotation must have shape (..., 3, 3), not {rotation.shape}")
+        raise UserError(f"rotation must have shape (..., 3, 3), not {rotation.shape}")
     defect = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(initial=0.0)
     if not defect <= 1e-6 or np.any(np.linalg.det(rotation) < 0.0):
-        raise ValueError(f"rotation must be a proper rotation matrix (R Rᵀ differs from 1 by {defect:.3g})")
+        raise UserError(f"rotation must be a proper rotation matrix (R Rᵀ differs from 1 by {defect:.3g})")
     alpha = np.arctan2(rotation[..., 1, 2], rotation[..., 0, 2])
     sin_beta = np.hypot(rotation[..., 0, 2], rotation[..., 1, 2])
     beta = np.arctan2(sin_beta, rotation[..., 2, 2])

@@ -97,7 +97,7 @@ def precompute(
     """
     bandlimit = check_bandlimit(bandlimit, largest=LARGEST_BANDLIMIT)
     if not isinstance(samples, int | np.integer) or not 1 <= samples <= LARGEST_SAMPLES:
-        raise ValueError(f"samples must be an integer in [1, {LARGEST_SAMPLES}], not {samples!r}")
+        raise UserError(f"samples must be an integer in [1, {LARGEST_SAMPLES}], not {samples!r}")
     started = time.perf_counter()
     with open_scene(scene) as (mi, opened):
         if not opened.mesh.receivers.any():

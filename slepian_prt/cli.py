@@ -1,0 +1,401 @@
+"""The command line: parses, calls, prints."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shlex
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+import slepian_prt
+from slepian_prt.errors import UserError
+
+_CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
+
+scene_argument = click.argument("scene", type=click.Path())
+output_option = click.option("-o", "--output", required=True, type=click.Path(), help="Where to write.")
+bandlimit_option = click.option(
+    "--bandlimit", default=10, show_default=True, help="Highest degree L of the spherical harmonics."
+)
+samples_option = click.option(
+    "--samples", default=1024, show_default=True, help="Rays per vertex, over the hemisphere."
+)
+clusters_option = click.option("--clusters", default=96, show_default=True, help="Number of normal-space caps.")
+seed_option = click.option("--seed", default=0, show_default=True, help="The same seed gives the same result.")
+clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
+rotate_option = click.option(
+    "--rotate", default=0.0, show_default=True, metavar="DEG", help="Turn the map about the up axis y."
+)
+
+
+@click.group(context_settings=_CONTEXT)
+@click.version_option(slepian_prt.__version__, prog_name="slepian-prt")
+def cli() -> None:
+    """Compressed precomputed radiance transfer: precompute, relight, and know what compression cost."""
+
+
+@cli.command()
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def doctor(as_json: bool) -> int:
+    """What runs here: Mitsuba, variant, LLVM, cores, speed; and how to mend what does not."""
+    from slepian_prt.scene.doctor import examine
+
+    findings = examine()
+    healthy = all(finding.ok for finding in findings)
+    if as_json:
+        click.echo(json.dumps({"ok": healthy, "findings": [finding.as_dict() for finding in findings]}, indent=1))
+    else:
+        width = max(len(finding.subject) for finding in findings)
+        for finding in findings:
+            click.echo(f"{'ok ' if finding.ok else '!! '} {finding.subject:<{width}}  {finding.value}")
+            if finding.remedy:
+                click.echo(f"    {'':<{width}}  -> {finding.remedy}")
+    return 0 if healthy else 2
+
+
+@cli.command()
+@scene_argument
+@output_option
+@bandlimit_option
+@samples_option
+@click.option(
+    "--basis",
+    type=click.Choice(["adapted", "transport", "slepian", "incident", "sh", "cpca", "direct", "none"]),
+    default="adapted",
+    show_default=True,
+    help="Functions to compress with.",
+)
+@click.option("--tolerance", type=float, help="Truncate at this predicted relative error.  [default: 0.02]")
+@click.option("--terms", type=int, help="Instead: this many functions in every cap.")
+@click.option(
+    "--truncate", type=click.Choice(["n_g", "n_ref", "count"]), help="Instead: at the cap's Shannon number."
+)
+@click.option("--epsilon", default=0.01, show_default=True, help="Concentration that --truncate counts down to.")
+@clusters_option
+@click.option("--coding", type=click.Choice(["float32", "float16"]), default="float32", show_default=True)
+@seed_option
+def precompute(
+    scene: str,
+    output: str,
+    bandlimit: int,
+    samples: int,
+    basis: str,
+    tolerance: float | None,
+    terms: int | None,
+    truncate: str | None,
+    epsilon: float,
+    clusters: int,
+    coding: str,
+    seed: int,
+) -> None:
+    """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file."""
+    from slepian_prt.compression import archive
+    from slepian_prt.compression.compressed import check_options, compress
+    from slepian_prt.transport.transfer import precompute as trace
+
+    check_options(basis, tolerance, terms, truncate, epsilon, clusters, coding, bandlimit)
+    archive.check_writable(output)
+    with progress("transport", "vertices") as advance:
+        transfer = trace(scene, bandlimit, samples, seed=seed, on_plan=print_plan, advance=advance)
+    packed = compress(
+        transfer,
+        basis,
+        tolerance=tolerance,
+        terms=terms,
+        truncate=truncate,
+        epsilon=epsilon,
+        clusters=clusters,
+        coding=coding,
+    )
+    packed.save(output)
+    seconds = packed.seconds
+    click.echo(
+        f"{output}: {len(packed.mesh.positions)} vertices, {packed.basis}, {packed.terms:.4g} functions of "
+        f"{(bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.1f} bytes per vertex, "
+        f"predicted error {packed.predicted_error:.2g}; "
+        f"{packed.rays_traced} rays in {seconds['transport']:.1f} s, compressed in {seconds['compress']:.1f} s"
+    )
+
+
+@cli.command()
+@click.argument("file", type=click.Path())
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def info(file: str, as_json: bool) -> None:
+    """What a transfer FILE holds, what was simulated, and what error to expect."""
+    from slepian_prt.compression.compressed import load
+
+    packed = load(file)
+    content: dict[str, Any] = {
+        "source": packed.source,
+        "vertices": len(packed.mesh.positions),
+        "faces": len(packed.mesh.faces),
+        "bandlimit": packed.bandlimit,
+        "basis": packed.basis,
+        "clusters": len(packed.bases),
+        "terms": packed.terms,
+        "bytes_per_vertex": packed.bytes_per_vertex,
+        "predicted_error": packed.predicted_error,
+        "samples": packed.samples,
+        "seed": packed.seed,
+        "rays_traced": packed.rays_traced,
+        "seconds": packed.seconds,
+        "notes": list(packed.mesh.notes),
+        "effects": [effect.as_dict() for effect in packed.effects],
+    }
+    if as_json:
+        click.echo(json.dumps(content, indent=1))
+        return
+    effects = content.pop("effects")
+    content["seconds"] = ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items())
+    content["notes"] = "; ".join(packed.mesh.notes) or "none"
+    for name, value in content.items():
+        click.echo(f"{name:<17} {f'{value:.4g}' if isinstance(value, float) else value}")
+    del effects
+    print_plan(packed.effects)
+
+
+@cli.command()
+@click.argument("file", type=click.Path())
+@click.option("--environment", required=True, type=click.Path(), help="Map: .exr, .hdr or .png, twice as wide as high.")
+@rotate_option
+@clamp_option
+@click.option("--width", default=800, show_default=True, help="Of a picture, in pixels.")
+@output_option
+def relight(file: str, environment: str, rotate: float, clamp_negative: bool, width: int, output: str) -> None:
+    """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr)."""
+    from slepian_prt.compression import archive
+    from slepian_prt.compression.compressed import load
+    from slepian_prt.relighting import outputs, picture
+    from slepian_prt.relighting.relight import relight as apply
+    from slepian_prt.scene.environments import project_environment, read_environment
+
+    suffix = Path(output).suffix.lower()
+    if suffix not in outputs.SUFFIXES:
+        raise UserError(f"{output}: unknown kind of output '{suffix}'; name one of {', '.join(outputs.SUFFIXES)}")
+    check_width(width)
+    archive.check_writable(output)
+    packed = load(file)
+    light = read_environment(environment, clamp_negative=clamp_negative)
+    if light.clamped:
+        note(f"{environment}: {light.clamped} negative texels set to zero")
+    radiance = apply(packed, project_environment(light, packed.bandlimit, rotate=rotate))
+    negative = float((radiance.min(axis=1) < 0.0).mean())
+    if negative > 0.0:
+        note(f"{negative:.2%} of the vertices are slightly negative (ringing of small bright lights at this bandlimit)")
+    if suffix == ".npz":
+        outputs.write_radiance(output, packed.mesh, radiance)
+    elif suffix == ".ply":
+        scale = outputs.write_coloured_mesh(output, packed.mesh, radiance)
+        note(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
+    else:
+        from slepian_prt.scene.scenes import open_scene
+
+        with open_scene(packed.mesh) as (mi, scene):
+            camera = picture.trace_camera(mi, scene, width)
+        picture.write_picture(output, camera.picture(radiance))
+    click.echo(f"{output}: {len(radiance)} vertices under {Path(environment).name}")
+
+
+@cli.command()
+@scene_argument
+@click.option("--environment", multiple=True, required=True, type=click.Path(), help="Map; may be given several times.")
+@click.option("-o", "--output", required=True, type=click.Path(), help="Folder for report.html, results.json, figures.")
+@bandlimit_option
+@samples_option
+@clusters_option
+@click.option("--basis", "bases", multiple=True, help="Only these bases; may be given several times.")
+@click.option("--terms", "terms", multiple=True, type=int, help="Numbers of functions; may be given several times.")
+@rotate_option
+@clamp_option
+@click.option("--width", default=400, show_default=True, help="Of the pictures, in pixels.")
+@click.option("--noise", default=0.01, show_default=True, help="Wanted relative noise of the references.")
+@seed_option
+def compare(
+    scene: str,
+    environment: tuple[str, ...],
+    output: str,
+    bandlimit: int,
+    samples: int,
+    clusters: int,
+    bases: tuple[str, ...],
+    terms: tuple[int, ...],
+    rotate: float,
+    clamp_negative: bool,
+    width: int,
+    noise: float,
+    seed: int,
+) -> None:
+    """Compare bases on SCENE: errors against full SH and path-traced references, as a report and as JSON."""
+    from slepian_prt.compression.compressed import check_options
+    from slepian_prt.evaluation import report
+    from slepian_prt.evaluation.compare import DEFAULT_BASES, DEFAULT_TERMS
+    from slepian_prt.evaluation.compare import compare as run
+    from slepian_prt.scene.environments import read_environment
+
+    for basis in bases:
+        check_options(basis, None, None, None, 0.01, clusters, "float32", bandlimit)
+        if basis == "none":
+            raise UserError("basis none is full SH, which every comparison shows; leave it out")
+    for k in terms:
+        check_options("sh", None, k, None, 0.01, clusters, "float32", bandlimit)
+    check_width(width)
+    report.check_folder(output)
+    maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]
+    names = [light.name for light in maps]
+    if len(set(names)) < len(names):
+        raise UserError(f"environments must have different names, not {', '.join(names)}; rename one of the files")
+    for path, light in zip(environment, maps, strict=True):
+        if light.clamped:
+            note(f"{path}: {light.clamped} negative texels set to zero")
+    with status() as tell, progress("transport", "vertices") as advance:
+        comparison = run(
+            scene,
+            maps,
+            bandlimit=bandlimit,
+            samples=samples,
+            clusters=clusters,
+            bases=bases or DEFAULT_BASES,
+            terms=terms or DEFAULT_TERMS,
+            seed=seed,
+            width=width,
+            noise=noise,
+            status=tell,
+            advance=advance,
+        )
+    page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]))
+    click.echo(f"{page}: {len(comparison.methods)} methods, {len(maps)} environments, {comparison.seconds:.0f} s")
+
+
+# --- Terminal --------------------------------------------------------------------------------------------------------
+
+
+class _Rate(ProgressColumn):
+    """Items per second."""
+
+    def render(self, task: Task) -> Text:
+        return Text(f"{task.speed:,.0f}/s" if task.speed else "", style="progress.data.speed")
+
+
+@contextmanager
+def progress(name: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar with rate and time left on a terminal; nothing in a pipe. Yields advance(done now, total)."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        _Rate(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = None
+
+        def advance(done: int, total: int) -> None:
+            nonlocal task
+            if task is None:
+                task = bar.add_task(name, total=total)
+            bar.advance(task, done)
+
+        yield advance
+
+
+@contextmanager
+def status() -> Iterator[Callable[[str], None]]:
+    """Names of stages as they begin, on a terminal; nothing in a pipe."""
+    console = Console(stderr=True)
+
+    def tell(what: str) -> None:
+        if console.is_terminal:
+            console.print(f"[dim]{what}[/dim]")
+
+    yield tell
+
+
+def print_plan(effects: Sequence[Any]) -> None:
+    """The effects plan as a table."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("effect", "verdict", "contribution", "reason"):
+        table.add_column(heading, justify="right" if heading == "contribution" else "left")
+    for effect in effects:
+        amount = "unknown" if effect.contribution is None else f"{effect.contribution:.3f}"
+        if effect.confidence:
+            amount += f" ± {effect.confidence:.3f}"
+        table.add_row(effect.name, effect.verdict, amount, effect.reason)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=200)
+    console.print(table)
+
+
+def note(text: str) -> None:
+    """A remark on standard error."""
+    click.echo(f"note: {text}", err=True)
+
+
+def check_width(width: int) -> None:
+    """Raise UserError unless a picture of that width is sensible."""
+    if not 16 <= width <= 8192:
+        raise UserError(f"width must be between 16 and 8192 pixels, not {width}")
+
+
+class _Notes(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        note(record.getMessage())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command; exit 0, or 2 for a user's mistake with one line about it, or 1 for a fault of ours."""
+    log = logging.getLogger("slepian_prt")
+    log.setLevel(logging.INFO)
+    log.addHandler(_Notes())
+    sys.exit(_run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    try:
+        outcome = cli.main(args=arguments, prog_name="slepian-prt", standalone_mode=False)
+        return outcome if isinstance(outcome, int) else 0
+    except UserError as error:
+        return _fail(2, str(error))
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "slepian-prt"
+        return _fail(2, f"{error.format_message().rstrip('.')}; see {command} --help")
+    except click.ClickException as error:
+        return _fail(2, error.format_message())
+    except (KeyboardInterrupt, click.Abort):
+        return _fail(130, "interrupted; nothing was written")
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - so that the flush at exit is quiet too
+        return 0
+    except MemoryError:
+        return _fail(1, "out of memory; try a lower --bandlimit or fewer --samples")
+    except Exception as error:
+        if os.environ.get("SLEPIAN_PRT_DEBUG"):
+            traceback.print_exc()
+        reason = " ".join(str(error).split())
+        return _fail(
+            1, f"internal error, {type(error).__name__}: {reason} (SLEPIAN_PRT_DEBUG=1 shows where; please report it)"
+        )
+
+
+def _fail(code: int, message: str) -> int:
+    click.echo(f"slepian-prt: {message}", err=True)
+    return code
+
+
+if __name__ == "__main__":
+    main()

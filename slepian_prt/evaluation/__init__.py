@@ -1,0 +1,1 @@
+"""How good it is and what it costs: references, errors, comparisons, reports."""

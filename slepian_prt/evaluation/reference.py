@@ -1,0 +1,184 @@
+"""References that owe nothing to spherical harmonics: path-traced pictures and Monte Carlo radiance per vertex."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.relighting.picture import Picture, split_alpha
+from slepian_prt.scene.environments import Environment
+from slepian_prt.scene.scenes import RAY_OFFSET, Scene, mitsuba_scene, sensor
+
+
+# The root of x⁵ = x + 1.
+_RATIO = 1.1673039782614187
+
+
+@dataclass(frozen=True)
+class ReferencePicture:
+    """A path-traced picture with the relative RMS of its own noise, from its two independent halves."""
+
+    picture: Picture
+    noise: float
+    samples: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class ReferenceVertices:
+    """Radiance per vertex, (V, 3), without a bandlimit, and the relative RMS of its own noise."""
+
+    radiance: NDArray[np.float32]
+    noise: float
+    samples: int
+    seconds: float
+
+
+def environment_emitter(mi: Any, environment: Environment) -> dict[str, Any]:
+    """Mitsuba's ``envmap`` of a map, for `mi.load_dict`."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = environment.to_world
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap(environment.texels),
+        "to_world": mi.ScalarTransform4f(matrix.tolist()),
+    }
+
+
+def render_reference(
+    mi: Any,
+    scene: Scene,
+    environment: Environment,
+    *,
+    width: int = 512,
+    noise: float = 0.005,
+    largest_samples: int = 512,
+    depth: int = 2,
+) -> ReferencePicture:
+    """Path-trace the scene until the noise of the picture is below ``noise`` (relative RMS), or to the largest count.
+
+    ``depth`` is Mitsuba's path length: 2 is direct light only, as the transfer has it.
+    """
+    started = time.perf_counter()
+    integrator = mi.load_dict({"type": "path", "max_depth": depth, "hide_emitters": True})
+    emitter = mi.load_dict(environment_emitter(mi, environment))
+
+    def half(samples: int, seed: int) -> NDArray[np.float64]:
+        # Stratified samplers halve the noise of independent ones at the same cost, if they know the count.
+        lit = mitsuba_scene(mi, scene, sensor=sensor(mi, scene, width, samples), emitter=emitter)
+        return np.array(mi.render(lit, integrator=integrator, spp=samples, seed=seed), dtype=np.float64)
+
+    first, second, measured, samples = _converge(half, noise, largest_samples, lambda pixels: pixels[..., :3])
+    picture = split_alpha(0.5 * (first + second))
+    return ReferencePicture(picture, measured, samples, time.perf_counter() - started)
+
+
+def vertex_reference(
+    mi: Any,
+    scene: Scene,
+    environment: Environment,
+    *,
+    noise: float = 0.005,
+    largest_samples: int = 2048,
+) -> ReferenceVertices:
+    """Direct radiance at the vertices by light sampling and cosine sampling, combined by the balance heuristic.
+
+    Uses the same ray origins as the transfer, so that what differs from full SH is the bandlimit (and sampling).
+    """
+    started = time.perf_counter()
+    lit = mitsuba_scene(mi, scene, emitter=environment_emitter(mi, environment))
+
+    def half(samples: int, seed: int) -> NDArray[np.float64]:
+        return _sample_vertices(mi, scene, lit, samples, seed)
+
+    first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values)
+    radiance = (0.5 * (first + second) * scene.mesh.albedo).astype(np.float32)
+    return ReferenceVertices(radiance, measured, samples, time.perf_counter() - started)
+
+
+def _converge(
+    half: Callable[[int, int], NDArray], noise: float, largest: int, compared: Callable[[NDArray], NDArray]
+) -> tuple[NDArray, NDArray, float, int]:
+    """Two independent halves with enough samples, the noise of their mean, and the samples of both.
+
+    Each round starts afresh with the count that the last one's noise asks for: a stratified set twice as large beats
+    two sets.
+    """
+    samples, seed = 32, 0
+    while True:
+        first, second = half(samples // 2, seed), half(samples // 2, seed + 1)
+        measured = _half_noise(compared(first), compared(second))
+        if measured <= noise or samples >= largest:
+            return first, second, measured, samples
+        wanted = samples * (measured / noise) ** (1.0 / 0.7)
+        # Stratified samplers want a square number in each half; powers of four are.
+        per_half = 4 ** math.ceil(math.log(wanted / 2, 4) - 1e-9)
+        samples, seed = min(largest, max(2 * per_half, 4 * samples)), seed + 2
+
+
+def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int) -> NDArray[np.float64]:
+    """(V, 3) estimates for unit albedo, ``samples`` light and ``samples`` cosine samples per vertex."""
+    import drjit as dr
+
+    low, high = scene.traced_bounds
+    offset = RAY_OFFSET * float(np.linalg.norm(high - low))
+    count = len(scene.mesh.positions)
+    total = np.zeros((count, 3))
+    rng = np.random.default_rng(seed)
+    block = max(1, (1 << 21) // samples)
+    for begin in range(0, count, block):
+        chosen = slice(begin, min(begin + block, count))
+        size = chosen.stop - chosen.start
+        normals = scene.mesh.normals[chosen]
+        origins = scene.traced_positions[chosen] + offset * normals
+        origin, normal = mi.Point3f(origins.T.astype(np.float32)), mi.Normal3f(normals.T.astype(np.float32))
+        lane = dr.arange(mi.UInt32, size * samples)
+        vertex = lane // dr.opaque(mi.UInt32, samples)
+        si = dr.zeros(mi.SurfaceInteraction3f, size * samples)
+        si.p, si.n = dr.gather(mi.Point3f, origin, vertex), dr.gather(mi.Normal3f, normal, vertex)
+        valid = dr.squared_norm(si.n) > 0.5
+        # An additive recurrence in four dimensions (the generalised golden ratio), shifted at random per vertex.
+        shifts = rng.integers(1 << 32, size=(4, size), dtype=np.uint32)
+        steps = [int((1.0 / _RATIO**d % 1.0) * 2**32) for d in range(1, 5)]
+        u = [
+            mi.Float((lane - vertex * samples) * mi.UInt32(step) + dr.gather(mi.UInt32, mi.UInt32(shift), vertex))
+            * 2.0**-32
+            for step, shift in zip(steps, shifts, strict=True)
+        ]
+        emitter = lit.environment()
+
+        ds, weight = emitter.sample_direction(si, mi.Point2f(u[0], u[1]), valid)
+        cosine = dr.maximum(dr.dot(si.n, ds.d), 0.0)
+        balance = ds.pdf / (ds.pdf + cosine * dr.inv_pi)
+        seen = valid & (cosine > 0.0) & (ds.pdf > 0.0)
+        seen &= ~lit.ray_test(mi.Ray3f(si.p, ds.d), seen)
+        value = dr.select(seen, weight * cosine * dr.inv_pi * balance, 0.0)
+
+        local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[2], u[3]))
+        ray = mi.Ray3f(si.p, mi.Frame3f(si.n).to_world(local))
+        sky = dr.zeros(mi.SurfaceInteraction3f, size * samples)
+        sky.wi = -ray.d
+        cosine_pdf = local.z * dr.inv_pi
+        sample = mi.DirectionSample3f()
+        sample.d = ray.d
+        light_pdf = emitter.pdf_direction(si, sample, valid)
+        open_sky = valid & (local.z > 0.0)
+        open_sky &= ~lit.ray_test(ray, open_sky)
+        value += dr.select(open_sky, emitter.eval(sky) * (cosine_pdf / (cosine_pdf + light_pdf)), 0.0)
+
+        summed = dr.zeros(mi.Color3f, size)
+        dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(value), vertex)
+        total[chosen] = np.array(summed).T / samples
+    return total
+
+
+def _half_noise(first: NDArray, second: NDArray) -> float:
+    """Relative RMS noise of the mean of two independent halves: RMS(a - b)/2 over the RMS of the mean."""
+    scale = float(np.sqrt(np.mean((0.5 * (first + second)) ** 2)))
+    return float(0.5 * np.sqrt(np.mean((first - second) ** 2)) / scale) if scale > 0.0 else 0.0

@@ -1,0 +1,320 @@
+"""The report of a comparison: one HTML file that needs nothing else, and its figures as files."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.image
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.archive import atomic_output
+from slepian_prt.errors import UserError
+from slepian_prt.evaluation.compare import Comparison, View
+from slepian_prt.evaluation.errors import error_map
+from slepian_prt.relighting.picture import Picture, exposure, to_srgb
+
+# Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
+STYLES: dict[str, tuple[str, str, str]] = {
+    "adapted": ("#D55E00", "o", "-"),
+    "transport": ("#E69F00", "s", "-"),
+    "slepian": ("#0072B2", "D", "--"),
+    "incident": ("#56B4E9", "^", "--"),
+    "sh": ("#222222", "x", ":"),
+    "cpca": ("#009E73", "v", "-."),
+    "direct": ("#CC79A7", "P", ":"),
+}
+
+DESCRIPTIONS = {
+    "adapted": "eigenvectors of the mean transport over the cap, learnt from a pilot of a few hundred vertices",
+    "transport": "the same for unshadowed diffuse transport, known without looking at the scene",
+    "slepian": "the paper's Slepian functions of the cap of normals, for exit radiance",
+    "incident": "Slepian functions of the cap that holds all incident light (the cap of normals widened by 90°)",
+    "sh": "spherical harmonics cut at a lower degree",
+    "cpca": "principal components of each cluster (Sloan 2003); has to see all vectors and to store its bases",
+    "direct": "transfer projected on the Slepian functions of the cap of normals itself: what not to do",
+    "none": "all spherical harmonics, nothing compressed",
+}
+
+_ERROR_SCALE = 0.25  # the end of the colour scale of error maps, relative to the mean luminance
+
+
+def check_folder(folder: str | Path) -> None:
+    """Raise UserError now if the report could not be written there, rather than after the heavy work."""
+    folder = Path(folder)
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    try:
+        if not existing.is_dir():
+            raise UserError(f"{folder}: {existing} is not a folder; choose another")
+        probe = existing / f".slepian-prt-{np.random.default_rng().integers(1 << 32):x}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UserError(
+            f"{folder}: cannot be written to ({error.strerror or error}); choose another folder for the output"
+        ) from None
+
+
+def write_report(comparison: Comparison, folder: str | Path, command: str) -> Path:
+    """Write report.html, results.json and the figures; return the path of the report.
+
+    Everything is made before the first byte is written.
+    """
+    folder = Path(folder)
+    figures = {
+        "transfer_error": _error_plot(comparison, "terms"),
+        "relit_error": _relit_plot(comparison),
+        "error_by_bytes": _error_plot(comparison, "bytes_per_vertex"),
+    }
+    pictures = [_view_pictures(comparison, view) for view in comparison.views]
+    html = _render(comparison, figures, pictures, command)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in figures.items():
+        _write(folder / f"{name}.png", content)
+    for view in pictures:
+        for panel in view["panels"]:
+            _write(folder / f"{view['environment']}_{panel['file']}.png", panel["png"])
+    _write(folder / "results.json", (json.dumps(comparison.results(), indent=1) + "\n").encode())
+    _write(folder / "report.html", html.encode())
+    return folder / "report.html"
+
+
+def _write(path: Path, content: bytes) -> None:
+    with atomic_output(path) as file:
+        file.write(content)
+
+
+# --- Pictures --------------------------------------------------------------------------------------------------------
+
+
+def _view_pictures(comparison: Comparison, view: View) -> dict[str, Any]:
+    """All pictures of one environment, exposed alike and cropped to what they show."""
+    scale = exposure(view.reference.picture)
+    crop = _crop(view.reference.picture.alpha)
+    shown = {
+        "reference": ("path-traced reference", view.reference.picture, None, ""),
+        "full_sh": (
+            f"full SH, {(comparison.transfer.bandlimit + 1) ** 2} functions",
+            view.full,
+            view.reference.picture,
+            "the reference",
+        ),
+    }
+    for basis, picture in view.compressed.items():
+        shown[basis] = (f"{basis}, {comparison.shown_terms} functions", picture, view.full, "full SH")
+    panels = []
+    for file, (title, picture, against, name) in shown.items():
+        panels.append({"file": file, "title": title, "png": _png(to_srgb(picture, scale)[crop])})
+        if against is not None:
+            errors = error_map(picture, against)
+            colour = plt.get_cmap("magma")(np.clip(errors / _ERROR_SCALE, 0.0, 1.0))[..., :3]
+            colour[np.isnan(errors)] = 1.0
+            image = (colour * 255.0 + 0.5).astype(np.uint8)
+            mean = float(np.nanmean(errors)) if np.isfinite(errors).any() else 0.0
+            panels.append(
+                {
+                    "file": f"{file}_error",
+                    "title": f"its difference from {name}, {mean:.1%} on average",
+                    "png": _png(image[crop]),
+                }
+            )
+    return {
+        "environment": view.environment.name,
+        "panels": panels,
+        "noise": view.reference.noise,
+        "samples": view.reference.samples,
+        "negative": comparison.negative[view.environment.name],
+        "clamped": view.environment.clamped,
+    }
+
+
+def _crop(alpha: NDArray) -> tuple[slice, slice]:
+    rows, columns = (np.flatnonzero((alpha > 0.0).any(axis=axis)) for axis in (1, 0))
+    if rows.size == 0:
+        return slice(None), slice(None)
+    margin = 6
+    return (
+        slice(max(rows[0] - margin, 0), rows[-1] + margin + 1),
+        slice(max(columns[0] - margin, 0), columns[-1] + margin + 1),
+    )
+
+
+def _png(image: NDArray[np.uint8]) -> bytes:
+    buffer = io.BytesIO()
+    matplotlib.image.imsave(buffer, image, format="png")
+    return buffer.getvalue()
+
+
+# --- Plots -----------------------------------------------------------------------------------------------------------
+
+
+def _figure(columns: int = 1) -> tuple[Any, Any]:
+    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False})
+    return plt.subplots(1, columns, figsize=(7.2 if columns == 1 else 5.4 * columns, 4.6), squeeze=False)
+
+
+def _finish(figure: Any) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
+    plt.close(figure)
+    return buffer.getvalue()
+
+
+def _curves(comparison: Comparison) -> dict[str, list[Any]]:
+    curves: dict[str, list[Any]] = {}
+    for method in comparison.methods:
+        if method.basis != "none":
+            curves.setdefault(method.basis, []).append(method)
+    return curves
+
+
+def _error_plot(comparison: Comparison, abscissa: str) -> bytes:
+    """Transfer error against functions (with predictions), or mean relit error against bytes."""
+    figure, axes = _figure()
+    axis = axes[0, 0]
+    by_terms = abscissa == "terms"
+    for basis, methods in _curves(comparison).items():
+        colour, marker, dash = STYLES[basis]
+        x = [getattr(m, abscissa) for m in methods]
+        y = [m.transfer_error if by_terms else float(np.mean(list(m.relit_error.values()))) for m in methods]
+        axis.plot(x, y, dash, color=colour, marker=marker, label=basis, linewidth=1.8, markersize=6)
+        if by_terms and basis == "adapted":
+            predicted = [m.predicted_error for m in methods]
+            axis.plot(x, predicted, "+", color="black", markersize=11, label="predicted for adapted", zorder=5)
+    axis.set_yscale("log")
+    if by_terms:
+        axis.set_xlabel("functions per vertex, K")
+        axis.set_ylabel("relative error of the transfer vectors")
+    else:
+        axis.set_xscale("log")
+        axis.set_xlabel("bytes per vertex, everything but the mesh counted")
+        axis.set_ylabel("relative error of relit radiance (mean)")
+    _decorate(axis)
+    axis.legend(frameon=False, fontsize=10)
+    return _finish(figure)
+
+
+def _relit_plot(comparison: Comparison) -> bytes:
+    names = [view.environment.name for view in comparison.views]
+    figure, axes = _figure(len(names))
+    for axis, name in zip(axes[0], names, strict=True):
+        for basis, methods in _curves(comparison).items():
+            colour, marker, dash = STYLES[basis]
+            axis.plot(
+                [m.terms for m in methods],
+                [m.relit_error[name] for m in methods],
+                dash,
+                color=colour,
+                marker=marker,
+                label=basis,
+                linewidth=1.8,
+                markersize=6,
+            )
+        axis.set_yscale("log")
+        axis.set_title(name)
+        axis.set_xlabel("functions per vertex, K")
+        axis.set_ylabel("relative error of relit radiance")
+        _decorate(axis)
+    axes[0, 0].legend(frameon=False, fontsize=10)
+    figure.tight_layout()
+    return _finish(figure)
+
+
+def _decorate(axis: Any) -> None:
+    axis.grid(True, which="both", color="#dddddd", linewidth=0.6)
+    axis.set_axisbelow(True)
+    formatter = matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %")
+    axis.yaxis.set_major_formatter(formatter)
+    low, high = axis.get_ylim()
+    if high / max(low, 1e-300) < 100.0:  # few decades: label between them too
+        axis.yaxis.set_minor_locator(matplotlib.ticker.LogLocator(subs=(2.0, 5.0)))
+        axis.yaxis.set_minor_formatter(formatter)
+    else:
+        axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
+
+
+# --- HTML ------------------------------------------------------------------------------------------------------------
+
+
+def _render(
+    comparison: Comparison, figures: dict[str, bytes], pictures: list[dict[str, Any]], command: str
+) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("slepian_prt", "evaluation"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["uri"] = lambda png: "data:image/png;base64," + base64.b64encode(png).decode()
+    environment.filters["percent"] = _percent
+    environment.filters["seconds"] = _seconds
+    results = comparison.results()
+    return environment.get_template("report.html.j2").render(
+        results=results,
+        mean=lambda errors: float(np.mean(list(errors.values()))),
+        findings=_findings(comparison),
+        half_angles=[math.degrees(a) for a in comparison.half_angles],
+        shown=comparison.shown_terms,
+        figures=figures,
+        pictures=pictures,
+        descriptions=DESCRIPTIONS,
+        error_scale=_ERROR_SCALE,
+        scale_bar=_png((plt.get_cmap("magma")(np.linspace(0, 1, 256))[None, :, :3].repeat(12, 0) * 255).astype("u1")),
+        command=command,
+        name=Path(results["scene"]).name,
+    )
+
+
+def _percent(value: float) -> str:
+    if value == 0.0:
+        return "0 %"
+    return f"{100 * value:.2g} %" if value < 0.1 else f"{100 * value:.0f} %"
+
+
+def _seconds(value: float) -> str:
+    return f"{1000 * value:.2g} ms" if value < 0.1 else f"{value:.2g} s" if value < 10 else f"{value:.0f} s"
+
+
+def _findings(comparison: Comparison) -> list[str]:
+    """The few sentences that a reader takes away, each with its numbers."""
+    at = {m.basis: m for m in comparison.methods if m.terms == comparison.shown_terms}
+    full = (comparison.transfer.bandlimit + 1) ** 2
+    found = []
+
+    def mean(basis: str) -> float:
+        return float(np.mean(list(at[basis].relit_error.values())))
+
+    if "adapted" in at and "sh" in at:
+        found.append(
+            f"With {comparison.shown_terms} of {full} functions per vertex, relit radiance is off by "
+            f"{_percent(mean('adapted'))} with the adapted basis and by {_percent(mean('sh'))} with spherical harmonics."
+        )
+    if "cpca" in at and "adapted" in at:
+        found.append(
+            f"Principal components of each cluster reach {_percent(mean('cpca'))}; they need all vectors at once, and "
+            f"{at['cpca'].bytes_per_vertex:.0f} instead of {at['adapted'].bytes_per_vertex:.0f} bytes per vertex."
+        )
+    if "adapted" in at:
+        found.append(
+            f"The error of the transfer vectors was predicted as {_percent(at['adapted'].predicted_error)} and measured "
+            f"as {_percent(at['adapted'].transfer_error)}."
+        )
+    for view in comparison.views:
+        name = view.environment.name
+        rungs = [r for r in comparison.ladder if r.environment == name]
+        found.append(
+            f"Under {name}, full SH differs from the path-traced picture by {_percent(rungs[2].error)} (noise of the "
+            f"reference {_percent(rungs[0].noise)}): {_percent(rungs[1].error)} is there without any bandlimit, from "
+            f"interpolating between vertices, and the bandlimit changes the radiance at the vertices by "
+            f"{_percent(rungs[3].error)}."
+        )
+    return found
