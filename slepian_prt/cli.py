@@ -79,9 +79,7 @@ def doctor(as_json: bool) -> int:
 )
 @click.option("--tolerance", type=float, help="Truncate at this predicted relative error.  [default: 0.02]")
 @click.option("--terms", type=int, help="Instead: this many functions in every cap.")
-@click.option(
-    "--truncate", type=click.Choice(["n_g", "n_ref", "count"]), help="Instead: at the cap's Shannon number."
-)
+@click.option("--truncate", type=click.Choice(["n_g", "n_ref", "count"]), help="Instead: at the cap's Shannon number.")
 @click.option("--epsilon", default=0.01, show_default=True, help="Concentration that --truncate counts down to.")
 @clusters_option
 @click.option("--coding", type=click.Choice(["float32", "float16"]), default="float32", show_default=True)

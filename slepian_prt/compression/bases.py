@@ -77,7 +77,7 @@ class LinearBasis:
 
     def light(self, lighting: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """What each function, (K, 3), and the mean, (3,), make of lighting (3, (L+1)²)."""
-        mean = np.zeros(3) if self.mean is None else lighting @ self.mean
+        mean = np.zeros(3) if self.mean is None else np.asarray(lighting @ self.mean, dtype=np.float64)
         return self.functions @ lighting.T, mean
 
 

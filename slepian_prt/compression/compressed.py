@@ -123,7 +123,7 @@ class CompressedTransfer:
             "source": self.source,
             "written_by": f"slepian_prt {slepian_prt.__version__}",
         }
-        mesh = {
+        mesh: dict[str, NDArray] = {
             "mesh/positions": self.mesh.positions,
             "mesh/normals": self.mesh.normals.astype(np.float32),
             "mesh/faces": self.mesh.faces,

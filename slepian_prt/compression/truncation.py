@@ -34,7 +34,9 @@ def by_terms(candidates: list[Candidate], wanted: int) -> NDArray[np.int64]:
     return np.array([min(wanted, c.energies.size) for c in candidates])
 
 
-def by_shannon(candidates: list[Candidate], caps: tuple[Cap, ...], bandlimit: int, rule: str, epsilon: float) -> NDArray:
+def by_shannon(
+    candidates: list[Candidate], caps: tuple[Cap, ...], bandlimit: int, rule: str, epsilon: float
+) -> NDArray[np.int64]:
     """The cap's Shannon number: ``n_g`` of the paper, ``n_ref``, or the exact ``count`` of concentrations above ε."""
     numbers = {
         "n_g": generalized_shannon_number,

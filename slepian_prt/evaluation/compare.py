@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import platform
 import time
 from collections.abc import Callable, Sequence
@@ -112,14 +113,10 @@ class Comparison:
 
 def versions() -> dict[str, str]:
     """Versions of what a result depends on."""
-    import drjit
-    import mitsuba
-
+    packages = ("mitsuba", "drjit", "numpy", "scipy")
     return {
         "slepian_prt": slepian_prt.__version__,
-        "mitsuba": mitsuba.__version__,
-        "drjit": drjit.__version__,
-        "numpy": np.__version__,
+        **{name: importlib.metadata.version(name) for name in packages},
         "python": platform.python_version(),
     }
 

@@ -15,7 +15,6 @@ from slepian_prt.relighting.picture import Picture, split_alpha
 from slepian_prt.scene.environments import Environment
 from slepian_prt.scene.scenes import RAY_OFFSET, Scene, mitsuba_scene, sensor
 
-
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
 

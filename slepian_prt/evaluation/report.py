@@ -13,16 +13,16 @@ import jinja2
 import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.image
 import matplotlib.pyplot as plt
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
 
 from slepian_prt.compression.archive import atomic_output
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import Comparison, View
 from slepian_prt.evaluation.errors import error_map
-from slepian_prt.relighting.picture import Picture, exposure, to_srgb
+from slepian_prt.relighting.picture import exposure, to_srgb
 
 # Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
 STYLES: dict[str, tuple[str, str, str]] = {
@@ -85,7 +85,10 @@ def write_report(comparison: Comparison, folder: str | Path, command: str) -> Pa
         _write(folder / f"{name}.png", content)
     for view in pictures:
         for panel in view["panels"]:
-            _write(folder / f"{view['environment']}_{panel['file']}.png", panel["png"])
+            stem = f"{view['environment']}_{panel['file']}"
+            _write(folder / f"{stem}.png", panel["png"])
+            if "error_png" in panel:
+                _write(folder / f"{stem}_error.png", panel["error_png"])
     _write(folder / "results.json", (json.dumps(comparison.results(), indent=1) + "\n").encode())
     _write(folder / "report.html", html.encode())
     return folder / "report.html"
@@ -116,20 +119,13 @@ def _view_pictures(comparison: Comparison, view: View) -> dict[str, Any]:
         shown[basis] = (f"{basis}, {comparison.shown_terms} functions", picture, view.full, "full SH")
     panels = []
     for file, (title, picture, against, name) in shown.items():
-        panels.append({"file": file, "title": title, "png": _png(to_srgb(picture, scale)[crop])})
+        panel = {"file": file, "title": title, "png": _png(to_srgb(picture, scale)[crop])}
         if against is not None:
-            errors = error_map(picture, against)
-            colour = plt.get_cmap("magma")(np.clip(errors / _ERROR_SCALE, 0.0, 1.0))[..., :3]
-            colour[np.isnan(errors)] = 1.0
-            image = (colour * 255.0 + 0.5).astype(np.uint8)
+            errors = error_map(picture, against)[crop]
+            panel["error_png"] = _error_png(errors)
             mean = float(np.nanmean(errors)) if np.isfinite(errors).any() else 0.0
-            panels.append(
-                {
-                    "file": f"{file}_error",
-                    "title": f"its difference from {name}, {mean:.1%} on average",
-                    "png": _png(image[crop]),
-                }
-            )
+            panel["error_title"] = f"its difference from {name}, {_percent(mean)} on average"
+        panels.append(panel)
     return {
         "environment": view.environment.name,
         "panels": panels,
@@ -151,10 +147,22 @@ def _crop(alpha: NDArray) -> tuple[slice, slice]:
     )
 
 
-def _png(image: NDArray[np.uint8]) -> bytes:
+def _png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
+    """PNG of an (H, W, 3) picture, or of (H, W) indices into a (256, 3) palette."""
+    picture = PIL.Image.fromarray(image)
+    if palette is not None:
+        picture.putpalette(palette.tobytes())
     buffer = io.BytesIO()
-    matplotlib.image.imsave(buffer, image, format="png")
+    picture.save(buffer, format="png", optimize=True)
     return buffer.getvalue()
+
+
+def _error_png(errors: NDArray) -> bytes:
+    """An error map on the colour scale; what is not covered is white. A palette keeps the page a third as large."""
+    palette = (plt.get_cmap("magma")(np.linspace(0.0, 1.0, 255))[:, :3] * 255.0 + 0.5).astype(np.uint8)
+    index = np.clip(np.nan_to_num(errors) / _ERROR_SCALE, 0.0, 1.0) * 254.0 + 0.5
+    image = np.where(np.isnan(errors), 255, index.astype(np.uint8)).astype(np.uint8)
+    return _png(image, np.concatenate([palette, [[255, 255, 255]]]).astype(np.uint8))
 
 
 # --- Plots -----------------------------------------------------------------------------------------------------------
@@ -238,19 +246,15 @@ def _decorate(axis: Any) -> None:
     formatter = matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %")
     axis.yaxis.set_major_formatter(formatter)
     low, high = axis.get_ylim()
-    if high / max(low, 1e-300) < 100.0:  # few decades: label between them too
-        axis.yaxis.set_minor_locator(matplotlib.ticker.LogLocator(subs=(2.0, 5.0)))
-        axis.yaxis.set_minor_formatter(formatter)
-    else:
+    if high / max(low, 1e-300) < 300.0:  # few decades: label between them too
+        axis.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
 # --- HTML ------------------------------------------------------------------------------------------------------------
 
 
-def _render(
-    comparison: Comparison, figures: dict[str, bytes], pictures: list[dict[str, Any]], command: str
-) -> str:
+def _render(comparison: Comparison, figures: dict[str, bytes], pictures: list[dict[str, Any]], command: str) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("slepian_prt", "evaluation"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -268,7 +272,7 @@ def _render(
         pictures=pictures,
         descriptions=DESCRIPTIONS,
         error_scale=_ERROR_SCALE,
-        scale_bar=_png((plt.get_cmap("magma")(np.linspace(0, 1, 256))[None, :, :3].repeat(12, 0) * 255).astype("u1")),
+        scale_bar=_error_png(np.linspace(0.0, _ERROR_SCALE, 256)[None].repeat(12, axis=0)),
         command=command,
         name=Path(results["scene"]).name,
     )
@@ -296,7 +300,7 @@ def _findings(comparison: Comparison) -> list[str]:
     if "adapted" in at and "sh" in at:
         found.append(
             f"With {comparison.shown_terms} of {full} functions per vertex, relit radiance is off by "
-            f"{_percent(mean('adapted'))} with the adapted basis and by {_percent(mean('sh'))} with spherical harmonics."
+            f"{_percent(mean('adapted'))} with the adapted basis, by {_percent(mean('sh'))} with spherical harmonics."
         )
     if "cpca" in at and "adapted" in at:
         found.append(
@@ -305,8 +309,8 @@ def _findings(comparison: Comparison) -> list[str]:
         )
     if "adapted" in at:
         found.append(
-            f"The error of the transfer vectors was predicted as {_percent(at['adapted'].predicted_error)} and measured "
-            f"as {_percent(at['adapted'].transfer_error)}."
+            f"The error of the transfer vectors was predicted as {_percent(at['adapted'].predicted_error)} and "
+            f"measured as {_percent(at['adapted'].transfer_error)}."
         )
     for view in comparison.views:
         name = view.environment.name

@@ -43,7 +43,8 @@ class Camera:
 
     def picture(self, radiance: NDArray) -> Picture:
         """Draw radiance per vertex, (V, 3), against an empty background."""
-        return Picture((self.weights @ radiance.astype(np.float32)).reshape(*self.alpha.shape, 3), self.alpha)
+        pixels = np.asarray(self.weights @ radiance.astype(np.float32), dtype=np.float32)
+        return Picture(pixels.reshape(*self.alpha.shape, 3), self.alpha)
 
 
 def trace_camera(mi: Any, scene: Scene, width: int = 512, strata: int = 5) -> Camera:
@@ -135,7 +136,10 @@ def write_picture(path: str | Path, picture: Picture) -> None:
         encoded = mi.Bitmap.FileFormat.OpenEXR
     elif path.suffix.lower() == ".png":
         colour = to_srgb(
-            Picture(picture.radiance / np.maximum(picture.alpha, 1e-4)[..., None], np.ones_like(picture.alpha)),
+            Picture(
+                (picture.radiance / np.maximum(picture.alpha, 1e-4)[..., None]).astype(np.float32),
+                np.ones_like(picture.alpha),
+            ),
             exposure(picture),
         )
         opacity = (picture.alpha * 255.0 + 0.5).astype(np.uint8)

@@ -56,8 +56,9 @@ def examine() -> list[Finding]:
     """Look at everything; anything that may kill the process is tried in a child."""
     findings = [Finding("python", f"{platform.python_version()} on {platform.machine()} {platform.system()}")]
     findings += [_package(name) for name in _PACKAGES]
-    findings.append(Finding("cores", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else
-                                         os.cpu_count())))
+    findings.append(
+        Finding("cores", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()))
+    )
     path, tried = llvm.find()
     if path is None and not tried:
         findings.append(Finding("LLVM", "no libLLVM found", False, llvm.REMEDY))

@@ -95,7 +95,8 @@ def make_environment(
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] not in (1, 3) or image.shape[0] == 0:
         raise UserError(f"{origin}: an environment map has shape (H, 2H, 3), not {np.shape(texels)}")
-    image = np.ascontiguousarray(np.broadcast_to(image, (*image.shape[:2], 3)))
+    # A copy: Mitsuba takes no read-only views.
+    image = np.array(np.broadcast_to(image, (*image.shape[:2], 3)), order="C")
     height, width = image.shape[:2]
     if width != 2 * height:
         raise UserError(

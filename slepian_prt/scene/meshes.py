@@ -70,9 +70,7 @@ def read_mesh(path: str | Path) -> Mesh:
     if path.stat().st_size == 0:
         raise UserError(f"{path}: the file is empty; export the mesh again")
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise UserError(
-            f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(MESH_SUFFIXES)}"
-        )
+        raise UserError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(MESH_SUFFIXES)}")
     if path.suffix.lower() == ".glb":
         _refuse_undecodable_glb(path)
     loaded = _load(path)

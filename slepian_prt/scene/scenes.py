@@ -174,9 +174,7 @@ def mitsuba_mesh(mi: Any, mesh: Mesh) -> Any:
     properties["mesh_bsdf"] = mi.load_dict(
         {"type": "twosided", "material": {"type": "diffuse", "reflectance": reflectance}}
     )
-    shape = mi.Mesh(
-        mesh.name, len(mesh.positions), len(mesh.faces), props=properties, has_vertex_normals=True
-    )
+    shape = mi.Mesh(mesh.name, len(mesh.positions), len(mesh.faces), props=properties, has_vertex_normals=True)
     if not constant:
         add_vertex_attribute(mi, shape, "vertex_albedo", mesh.albedo)
     parameters = mi.traverse(shape)

@@ -136,7 +136,7 @@ def cap_basis(
     """
     bandlimit = check_bandlimit(bandlimit)
     half_angle = check_half_angle(half_angle)
-    center = check_directions(center, "center")[0]
+    axis = check_directions(center, "center")[0]
     if threshold is not None and not threshold >= 0.0:
         raise UserError(f"threshold must be >= 0, not {threshold!r}")
     last_order = 0 if radially_symmetric else bandlimit
@@ -150,7 +150,7 @@ def cap_basis(
             blocks.append(vectors)
             values.append(eigenvalues)
         leakages = None
-    return _merge(bandlimit, half_angle, center, blocks, values, leakages, threshold)
+    return _merge(bandlimit, half_angle, axis, blocks, values, leakages, threshold)
 
 
 # --- The plain problem -----------------------------------------------------------------------------------------------
@@ -269,7 +269,7 @@ def _averaged_moment_factors(moment: SecondMoment, nodes: CapNodes, last_order: 
             rows = turned[:, column]
             if m > 0:
                 rows = np.concatenate([turned[:, column + m], turned[:, column - m]]) * math.sqrt(0.5)
-            factors[m] = np.linalg.qr(np.concatenate([factors[m], rows]), mode="r")
+            factors[m] = np.asarray(np.linalg.qr(np.concatenate([factors[m], rows]), mode="r"))
     return factors
 
 

@@ -105,5 +105,6 @@ def measured_moment(local_vectors: ArrayLike) -> SecondMoment:
     for m in range(bandlimit + 1):
         column = l[m:] * (l[m:] + 1)
         rows = x[:, column] if m == 0 else np.concatenate([x[:, column + m], x[:, column - m]])
-        factors.append(np.linalg.qr(rows / np.sqrt(rows.shape[0]), mode="r").T)
+        triangle: NDArray[np.float64] = np.asarray(np.linalg.qr(rows / np.sqrt(rows.shape[0]), mode="r"))
+        factors.append(triangle.T)
     return SecondMoment(bandlimit, tuple(factors))

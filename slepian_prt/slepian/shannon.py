@@ -73,9 +73,7 @@ def _curvature_term(half_angle: float) -> float:
     return 1.0 - math.log1p(sine) / sine + log_cosine * (1.0 - sine) / sine
 
 
-def concentration_count(
-    bandlimit: int, half_angle: float, epsilon: float, *, radially_symmetric: bool = False
-) -> int:
+def concentration_count(bandlimit: int, half_angle: float, epsilon: float, *, radially_symmetric: bool = False) -> int:
     """The exact number of Slepian functions of the cap whose concentration is above ε."""
     epsilon = check_epsilon(epsilon)
     return len(cap_basis(bandlimit, half_angle, threshold=epsilon, radially_symmetric=radially_symmetric))

@@ -154,7 +154,9 @@ def _to_y_axis(l: int) -> NDArray[np.float64]:
         if first == 0 and l > 0:
             coupling[0] *= np.sqrt(2.0)
         size = l + 1 - first
-        eigenvalues, vectors = eigh_tridiagonal(np.zeros(size), coupling) if size > 1 else (np.zeros(1), np.ones((1, 1)))
+        eigenvalues, vectors = np.zeros(1), np.ones((1, 1))
+        if size > 1:
+            eigenvalues, vectors = eigh_tridiagonal(np.zeros(size), coupling)
         columns = l + np.arange(first, l + 1) if first == 0 else l - np.arange(first, l + 1)
         k = np.arange(size)
         real_part = np.where(k % 2 == 0, np.where(k % 4 == 0, 1.0, -1.0), 0.0)

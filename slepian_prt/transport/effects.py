@@ -73,6 +73,8 @@ def plan_effects(mi: Any, scene: Scene, seed: int = 0) -> tuple[Effect, ...]:
             )
         )
     rows.append(Effect("colour", OMITTED, 0.0, 0.0, "direct light: one channel, the albedo applied when relighting"))
-    rows += [Effect(what, NOT_SIMULATED, None, None, "only distant, diffusely reflected light is") for what in
-             scene.not_simulated]
+    rows += [
+        Effect(what, NOT_SIMULATED, None, None, "only distant, diffusely reflected light is")
+        for what in scene.not_simulated
+    ]
     return tuple(rows)

@@ -107,12 +107,18 @@ def precompute(
         on_plan(effects)
         planned = time.perf_counter()
         total = len(opened.mesh.positions)
-        vectors, rays = shadowed_transfer(
-            mi, opened, bandlimit, int(samples), seed, lambda done: advance(done, total)
-        )
+        vectors, rays = shadowed_transfer(mi, opened, bandlimit, int(samples), seed, lambda done: advance(done, total))
         traced = time.perf_counter()
         seconds = {"load": loaded - started, "plan": planned - loaded, "transport": traced - planned}
         return Transfer(
-            vectors[:, None, :], opened.mesh, opened.parts, bandlimit, int(samples), seed, effects, rays, seconds,
+            vectors[:, None, :],
+            opened.mesh,
+            opened.parts,
+            bandlimit,
+            int(samples),
+            seed,
+            effects,
+            rays,
+            seconds,
             opened.path,
         )

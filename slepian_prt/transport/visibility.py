@@ -109,7 +109,7 @@ def shadowed_transfer(
 def blocked_fraction(mi: Any, scene: Scene, vertices: NDArray, samples: int, seed: int) -> NDArray[np.float64]:
     """Cosine-weighted part of the hemisphere that is blocked at each of the given vertices, (n,)."""
     tracer = _Tracer(mi, scene, 0, samples, seed)
-    return tracer.blocked(vertices)[:, 0] * math.sqrt(4.0 * math.pi)
+    return tracer.blocked(vertices)[:, 0].astype(np.float64) * math.sqrt(4.0 * math.pi)
 
 
 class _Tracer:
