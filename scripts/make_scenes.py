@@ -55,7 +55,7 @@ def disc(radius: float, height: float, rings: int = 42, spokes: int = 150) -> tr
 
 
 def sky(height: int = 256) -> np.ndarray:
-    """Radiance of Mitsuba's sun and sky, (H, 2H, 3), for its ``envmap``; the sun is widened to 3°, at the same power."""
+    """Radiance of Mitsuba's sun and sky, (H, 2H, 3), for its ``envmap``; a sun 3° wide, of the same power."""
     with mitsuba() as mi:
         import drjit as dr
 

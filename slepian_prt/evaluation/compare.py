@@ -66,6 +66,7 @@ class View:
     environment: Environment
     reference: ReferencePicture
     vertices: ReferenceVertices
+    interpolated: Picture
     full: Picture
     compressed: dict[str, Picture] = field(default_factory=dict)
 
@@ -174,7 +175,8 @@ def compare(
             reference = render_reference(mi, opened, environment, width=width, noise=noise)
             status(f"reference at the vertices under {environment.name}")
             vertices = vertex_reference(mi, opened, environment, noise=noise)
-            views.append(View(environment, reference, vertices, camera.picture(radiance)))
+            interpolated = camera.picture(vertices.radiance)
+            views.append(View(environment, reference, vertices, interpolated, camera.picture(radiance)))
     shown = min(wanted, key=lambda k: abs(k - 16))
     methods = []
     for basis in bases:
@@ -194,7 +196,7 @@ def compare(
         len(grouped.caps),
         (min(angles), max(angles)),
         tuple(methods),
-        tuple(_ladder(transfer, views, camera, full, methods, shown)),
+        tuple(_ladder(transfer, views, full, methods, shown)),
         tuple(views),
         shown,
         {e.name: float(np.mean(radiance.min(axis=1) < 0.0)) for e, radiance in zip(environments, full, strict=True)},
@@ -236,7 +238,6 @@ def _measure(
 def _ladder(
     transfer: Transfer,
     views: list[View],
-    camera: Camera,
     full: list[NDArray],
     methods: list[Method],
     shown: int,
@@ -245,14 +246,13 @@ def _ladder(
     rungs = []
     for view, radiance in zip(views, full, strict=True):
         name, reference = view.environment.name, view.reference
-        exact = camera.picture(view.vertices.radiance)
         in_picture = "path-traced picture"
         rungs += [
             Rung(name, "path-traced picture", 0.0, in_picture, reference.noise, reference.seconds),
             Rung(
                 name,
                 "radiance at the vertices, no bandlimit, interpolated",
-                relative_rms(exact.radiance, reference.picture.radiance),
+                relative_rms(view.interpolated.radiance, reference.picture.radiance),
                 in_picture,
                 float(np.hypot(reference.noise, view.vertices.noise)),
                 view.vertices.seconds,

@@ -22,7 +22,7 @@ from slepian_prt.compression.archive import atomic_output
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import Comparison, View
 from slepian_prt.evaluation.errors import error_map
-from slepian_prt.relighting.picture import exposure, to_srgb
+from slepian_prt.relighting.picture import Picture, exposure, to_srgb
 
 # Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
 STYLES: dict[str, tuple[str, str, str]] = {
@@ -88,7 +88,8 @@ def write_report(comparison: Comparison, folder: str | Path, command: str) -> Pa
             stem = f"{view['environment']}_{panel['file']}"
             _write(folder / f"{stem}.png", panel["png"])
             if "error_png" in panel:
-                _write(folder / f"{stem}_error.png", panel["error_png"])
+                second = panel.get("error_file", f"{panel['file']}_error")
+                _write(folder / f"{view['environment']}_{second}.png", panel["error_png"])
     _write(folder / "results.json", (json.dumps(comparison.results(), indent=1) + "\n").encode())
     _write(folder / "report.html", html.encode())
     return folder / "report.html"
@@ -108,6 +109,12 @@ def _view_pictures(comparison: Comparison, view: View) -> dict[str, Any]:
     crop = _crop(view.reference.picture.alpha)
     shown = {
         "reference": ("path-traced reference", view.reference.picture, None, ""),
+        "vertices": (
+            "radiance at the vertices, no bandlimit",
+            view.interpolated,
+            view.reference.picture,
+            "the reference",
+        ),
         "full_sh": (
             f"full SH, {(comparison.transfer.bandlimit + 1) ** 2} functions",
             view.full,
@@ -119,12 +126,15 @@ def _view_pictures(comparison: Comparison, view: View) -> dict[str, Any]:
         shown[basis] = (f"{basis}, {comparison.shown_terms} functions", picture, view.full, "full SH")
     panels = []
     for file, (title, picture, against, name) in shown.items():
-        panel = {"file": file, "title": title, "png": _png(to_srgb(picture, scale)[crop])}
+        panel: dict[str, Any] = {"file": file, "title": title, "png": _png(to_srgb(picture, scale)[crop])}
         if against is not None:
             errors = error_map(picture, against)[crop]
             panel["error_png"] = _error_png(errors)
             mean = float(np.nanmean(errors)) if np.isfinite(errors).any() else 0.0
             panel["error_title"] = f"its difference from {name}, {_percent(mean)} on average"
+        else:
+            panel["error_png"], panel["error_title"] = _map_png(view), f"the environment map {view.environment.name}"
+            panel["error_file"] = "map"
         panels.append(panel)
     return {
         "environment": view.environment.name,
@@ -134,6 +144,16 @@ def _view_pictures(comparison: Comparison, view: View) -> dict[str, Any]:
         "negative": comparison.negative[view.environment.name],
         "clamped": view.environment.clamped,
     }
+
+
+def _map_png(view: View) -> bytes:
+    """The environment map, made small, with its centre column the direction -x."""
+    texels = view.environment.texels
+    step = max(1, texels.shape[0] // 128)
+    rows, columns = texels.shape[0] // step * step, texels.shape[1] // step * step
+    small = texels[:rows, :columns].reshape(rows // step, step, columns // step, step, 3).mean(axis=(1, 3))
+    picture = Picture(small, np.ones(small.shape[:2], dtype=np.float32))
+    return _png(to_srgb(picture, exposure(picture)))
 
 
 def _crop(alpha: NDArray) -> tuple[slice, slice]:
@@ -207,10 +227,13 @@ def _error_plot(comparison: Comparison, abscissa: str) -> bytes:
         axis.set_ylabel("relative error of the transfer vectors")
     else:
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{v:g}"))
+        axis.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
         axis.set_xlabel("bytes per vertex, everything but the mesh counted")
         axis.set_ylabel("relative error of relit radiance (mean)")
     _decorate(axis)
-    axis.legend(frameon=False, fontsize=10)
+    _legend(axis)
     return _finish(figure)
 
 
@@ -235,9 +258,13 @@ def _relit_plot(comparison: Comparison) -> bytes:
         axis.set_xlabel("functions per vertex, K")
         axis.set_ylabel("relative error of relit radiance")
         _decorate(axis)
-    axes[0, 0].legend(frameon=False, fontsize=10)
     figure.tight_layout()
+    _legend(axes[0, -1])
     return _finish(figure)
+
+
+def _legend(axis: Any) -> None:
+    axis.legend(frameon=False, fontsize=10, loc="upper left", bbox_to_anchor=(1.01, 1.0))
 
 
 def _decorate(axis: Any) -> None:

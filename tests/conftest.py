@@ -1,0 +1,48 @@
+"""Shared fixtures: real data if it is there, and small scenes with known answers."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from slepian_prt.scene.meshes import Mesh, make_mesh
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of scanned meshes and HDR maps."""
+    folder = os.environ.get("SLEPIAN_PRT_DATA")
+    if not folder:
+        pytest.skip("SLEPIAN_PRT_DATA is not set: no scanned meshes and HDR maps")
+    return Path(folder)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20101)
+
+
+def sphere(subdivisions: int = 3, radius: float = 1.0) -> Mesh:
+    ball = trimesh.creation.icosphere(subdivisions, radius)
+    return make_mesh(ball.vertices, ball.faces, name="sphere")
+
+
+def bumpy(subdivisions: int = 4) -> Mesh:
+    """A self-shadowing ball, a few thousand vertices."""
+    ball = trimesh.creation.icosphere(subdivisions)
+    radius = 1.0 + 0.25 * np.prod(np.sin(4.0 * ball.vertices), axis=1) + 0.15 * np.sin(5.0 * ball.vertices[:, 0])
+    return make_mesh(ball.vertices * radius[:, None], ball.faces, name="bumpy")
+
+
+def inside_out(mesh: Mesh) -> Mesh:
+    """The same surface seen from the other side."""
+    return make_mesh(mesh.positions, mesh.faces[:, ::-1], name=mesh.name)
+
+
+def random_directions(rng: np.random.Generator, n: int) -> np.ndarray:
+    d = rng.normal(size=(n, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
