@@ -101,14 +101,14 @@ def cap_nodes(n: int, half_angle: float, complement: bool = False) -> CapNodes:
         mirrored = cap_nodes(n, math.pi - half_angle)
         return CapNodes(-mirrored.z, -mirrored.z_low, mirrored.sine, mirrored.weights)
     rule = gauss_legendre(n)
-    height = 2.0 * math.sin(half_angle / 2) ** 2
-    # Distance of each node from the end x = 1, relative to the interval's length 2.
-    from_top = 0.5 * np.where(rule.nodes > 0.0, rule.complement, 2.0 - rule.complement)
-    t = height * from_top  # 1 - cos θ
-    z = 1.0 - t
-    z_low = (1.0 - z) - t
-    sine = np.sqrt(t * (2.0 - t))
-    return CapNodes(z, z_low, sine, 0.5 * height * rule.weights)
+    height, rest = 2.0 * math.sin(half_angle / 2) ** 2, 2.0 * math.cos(half_angle / 2) ** 2
+    # Distances of each node from both ends of the interval, relative to its length.
+    near, far = 0.5 * rule.complement, 1.0 - 0.5 * rule.complement
+    t = height * np.where(rule.nodes > 0.0, near, far)  # 1 - cos θ
+    s = rest + height * np.where(rule.nodes > 0.0, far, near)  # 1 + cos θ
+    z = np.where(t <= s, 1.0 - t, s - 1.0)
+    z_low = np.where(t <= s, (1.0 - z) - t, s - (1.0 + z))
+    return CapNodes(z, z_low, np.sqrt(t * s), 0.5 * height * rule.weights)
 
 
 def cap_rule(degree: int, half_angle: float, center: ArrayLike = (0.0, 0.0, 1.0)) -> tuple[NDArray, NDArray]:

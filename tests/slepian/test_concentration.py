@@ -98,7 +98,7 @@ def localisation_block_mpmath(bandlimit: int, m: int, half_angle: mpmath.mpf) ->
 @pytest.mark.parametrize(
     ("half_angle", "m", "digits"),
     # Enough digits to tell apart the smallest concentrations.
-    [(0.35, 0, 200), (0.35, 7, 200), (math.pi / 2, 3, 90), (1.2, 20, 90), (0.05, 30, 400), (2.8, 11, 200)],
+    [(0.35, 0, 400), (0.35, 7, 200), (math.pi / 2, 3, 90), (1.2, 20, 90), (0.05, 30, 400), (2.8, 11, 200)],
 )
 def test_eigenvectors_against_mpmath_at_bandlimit_50(half_angle, m, digits):
     bandlimit = 50
