@@ -146,7 +146,7 @@ def _try_in_child(path: str) -> str:
 
 
 def _version(path: str) -> float:
-    match = re.search(r"LLVM[-.]?(?:so\.)?(\d+)", os.path.basename(path)) or re.search(r"llvm[-@](\d+)", path)
+    match = re.search(r"/llvm[-@](\d+)", path) or re.search(r"LLVM[-.]?(?:so\.)?(\d+)", os.path.basename(path))
     return float(match.group(1)) if match else 0.0
 
 
