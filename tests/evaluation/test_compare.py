@@ -1,0 +1,102 @@
+import json
+import re
+
+import numpy as np
+import pytest
+
+from slepian_prt.evaluation.compare import compare
+from slepian_prt.evaluation.errors import error_map, relative_rms
+from slepian_prt.evaluation.report import check_folder, write_report
+from slepian_prt.relighting.picture import Picture
+from slepian_prt.scene.environments import make_environment
+from tests.conftest import bumpy
+
+METHOD_FIELDS = {
+    "basis",
+    "terms",
+    "bytes_per_vertex",
+    "transfer_error",
+    "predicted_error",
+    "relit_error",
+    "image_error",
+    "compress_seconds",
+    "relight_seconds",
+}
+
+
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory):
+    import trimesh
+
+    mesh = bumpy(3)
+    path = tmp_path_factory.mktemp("scene") / "bumpy & <ball>.ply"  # a name that HTML has to escape
+    trimesh.Trimesh(mesh.positions, mesh.faces, process=False).export(path)
+    rng = np.random.default_rng(2)
+    maps = [make_environment(rng.random((16, 32, 3)) ** 3, name=name) for name in ("first", "second")]
+    return compare(path, maps, bandlimit=4, samples=64, clusters=8, terms=(4, 9, 40), width=64, noise=0.05)
+
+
+def test_results_have_the_stable_names(comparison):
+    results = json.loads(json.dumps(comparison.results()))
+    assert results["vertices"] == 642
+    assert results["bandlimit"] == 4
+    assert results["samples"] == 64
+    assert results["clusters"] == 8
+    assert results["environments"] == ["first", "second"]
+    assert {m["basis"] for m in results["methods"]} == {
+        "adapted", "transport", "slepian", "incident", "sh", "cpca", "none",
+    }  # fmt: skip
+    for method in results["methods"]:
+        assert set(method) == METHOD_FIELDS
+        assert set(method["relit_error"]) == set(method["image_error"]) == {"first", "second"}
+        assert method["terms"] in (4, 9, 25)  # 40 is more than the bandlimit has
+    assert {rung["environment"] for rung in results["ladder"]} == {"first", "second"}
+    assert all({"stage", "error", "seconds"} <= set(rung) for rung in results["ladder"])
+    assert all(0 < r["noise"] < 0.2 for r in results["references"].values())
+
+
+def test_full_sh_is_the_end_of_every_curve(comparison):
+    full = next(m for m in comparison.methods if m.basis == "none")
+    assert full.transfer_error <= 1e-6
+    assert max(full.relit_error.values()) <= 1e-5
+    for method in comparison.methods:
+        assert method.transfer_error >= full.transfer_error
+
+
+def test_report_needs_nothing_else(comparison, tmp_path):
+    page = write_report(comparison, tmp_path / "out", "slepian-prt compare 'a b.ply'")
+    html = page.read_text()
+    sources = re.findall(r'(?:src|href)="([^"]{0,40})', html)
+    assert sources
+    assert all(source.startswith("data:") for source in sources)
+    assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", html)
+    assert "bumpy &amp; &lt;ball&gt;.ply" in html
+    assert "<ball>" not in html
+    for basis in ("adapted", "transport", "slepian", "incident", "sh", "cpca"):
+        assert f"{basis}, 9 functions" in html
+        assert (tmp_path / "out" / f"first_{basis}_error.png").is_file()
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["vertices"] == 642
+    assert not [p for p in (tmp_path / "out").iterdir() if p.name.endswith(".part")]
+
+
+def test_relative_rms():
+    assert relative_rms(np.array([3.0, 4.0]), np.array([0.0, 5.0])) == pytest.approx(np.sqrt(10) / 5)
+    assert relative_rms(np.zeros(3), np.zeros(3)) == 0.0
+    assert relative_rms(np.ones(3), np.zeros(3)) == np.inf
+
+
+def test_error_map_is_relative_to_the_mean_and_blank_outside():
+    alpha = np.array([[1.0, 1.0, 0.0]], dtype=np.float32)
+    reference = Picture(np.array([[[2, 2, 2], [4, 4, 4], [0, 0, 0]]], dtype=np.float32), alpha)
+    picture = Picture(reference.radiance + np.float32(0.3), alpha)
+    errors = error_map(picture, reference)
+    np.testing.assert_allclose(errors[0, :2], 0.1, rtol=1e-5)
+    assert np.isnan(errors[0, 2])
+
+
+def test_folder_checks(tmp_path):
+    check_folder(tmp_path / "new" / "deeper")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="is not a folder"):
+        check_folder(tmp_path / "file")

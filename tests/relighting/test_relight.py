@@ -1,0 +1,182 @@
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from slepian_prt.compression.compressed import compress
+from slepian_prt.errors import UserError
+from slepian_prt.evaluation.errors import relative_rms
+from slepian_prt.evaluation.reference import render_reference, vertex_reference
+from slepian_prt.relighting.outputs import write_coloured_mesh, write_radiance
+from slepian_prt.relighting.picture import Picture, exposure, to_srgb, trace_camera, write_picture
+from slepian_prt.relighting.relight import relight
+from slepian_prt.scene.environments import make_environment, project_environment
+from slepian_prt.scene.meshes import make_mesh
+from slepian_prt.scene.scenes import open_scene
+from slepian_prt.scene.variants import bitmap_module
+from slepian_prt.transport.transfer import precompute
+from tests.conftest import bumpy, sphere
+
+
+def constant_light(bandlimit: int, radiance: float = 1.0) -> np.ndarray:
+    return project_environment(np.full((64, 128, 3), radiance), bandlimit)
+
+
+def smooth_sky() -> np.ndarray:
+    """A map of degree 1: exact at any bandlimit, brighter above and to the right."""
+    v, u = np.meshgrid(np.pi * np.arange(65) / 64, np.pi * (np.arange(130) + 0.5) / 65, indexing="ij")
+    up, right = np.cos(v), np.sin(v) * np.sin(u)
+    return np.stack([1.0 + 0.6 * up, 1.0 + 0.3 * up + 0.3 * right, 1.0 + 0.6 * right], axis=-1)
+
+
+def test_unoccluded_vertex_under_constant_light_is_one():
+    radiance = relight(precompute(sphere(3), bandlimit=10, samples=16), constant_light(10))
+    np.testing.assert_allclose(radiance, 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("basis", ["adapted", "none", "incident"])
+def test_constant_light_gives_ambient_occlusion(basis):
+    transfer = precompute(bumpy(3), bandlimit=4, samples=256)
+    occlusion = transfer.vectors[:, 0, 0] * math.sqrt(4 * math.pi)
+    options = {} if basis == "none" else {"terms": 25}
+    radiance = relight(compress(transfer, basis, clusters=6, **options), constant_light(4))
+    np.testing.assert_allclose(radiance, np.repeat(occlusion[:, None], 3, axis=1), atol=2e-4)
+
+
+def test_albedo_scales_each_channel():
+    ball = sphere(2)
+    painted = make_mesh(ball.positions, ball.faces, albedo=[0.5, 0.25, 1.0])
+    radiance = relight(compress(precompute(painted, bandlimit=3, samples=16), "none"), constant_light(3, 2.0))
+    np.testing.assert_allclose(radiance, np.tile([1.0, 0.5, 2.0], (len(radiance), 1)), atol=1e-5)
+
+
+def test_compressed_equals_relighting_its_reconstruction(rng):
+    transfer = precompute(bumpy(3), bandlimit=5, samples=64)
+    packed = compress(transfer, "cpca", terms=7, clusters=9)
+    light = rng.normal(size=(3, 36))
+    np.testing.assert_allclose(relight(packed, light), packed.reconstruct() @ light.T, atol=1e-4)
+
+
+def test_lighting_of_another_bandlimit_is_refused():
+    transfer = precompute(sphere(1), bandlimit=3, samples=16)
+    with pytest.raises(UserError, match=r"lighting must have shape \(3, 16\) for bandlimit 3, not \(3, 25\)"):
+        relight(transfer, np.zeros((3, 25)))
+
+
+def test_rotating_the_light_is_rotating_the_scene_back():
+    mesh = bumpy(3)
+    angle = math.radians(40.0)
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    turned = make_mesh(mesh.positions @ turn, mesh.faces)  # turned by the inverse
+    sky = smooth_sky()
+    one = relight(precompute(mesh, bandlimit=5, samples=1024), project_environment(sky, 5, rotate=40.0))
+    other = relight(precompute(turned, bandlimit=5, samples=1024), project_environment(sky, 5))
+    assert relative_rms(one, other) < 0.01  # sampling error at 1024 rays
+
+
+# --- Against Mitsuba -------------------------------------------------------------------------------------------------
+
+
+def test_vertex_reference_agrees_where_sh_is_exact():
+    """A sky of degree 1 has no bandlimit error; what differs is the noise of both sides."""
+    mesh, sky = bumpy(3), make_environment(smooth_sky())
+    transfer = precompute(mesh, bandlimit=2, samples=4096)
+    with open_scene(mesh) as (mi, scene):
+        reference = vertex_reference(mi, scene, sky, noise=0.002)
+    full = relight(transfer, project_environment(sky, 2))
+    # 4096 rays leave about 4096^-3/4 = 0.2 % in the transfer (DESIGN 6: 0.3 % at L = 5).
+    assert relative_rms(full, reference.radiance) <= 3 * math.hypot(reference.noise, 0.003)
+
+
+@pytest.mark.parametrize("shape", [sphere(5), bumpy(5)], ids=["sphere", "bumpy"])
+def test_picture_agrees_with_the_path_tracer_where_sh_is_exact(shape):
+    """Direction of the light, camera, alpha and exposure: all in one comparison against Mitsuba's own picture."""
+    sky = make_environment(smooth_sky()).rotated(30.0)
+    transfer = precompute(shape, bandlimit=2, samples=1024)
+    with open_scene(shape) as (mi, scene):
+        reference = render_reference(mi, scene, sky, width=96, noise=0.003)
+        camera = trace_camera(mi, scene, 96)
+    ours = camera.picture(relight(transfer, project_environment(sky, 2)))
+    np.testing.assert_allclose(ours.alpha, reference.picture.alpha, atol=0.25)
+    inside = (ours.alpha == 1) & (reference.picture.alpha > 0.999)
+    difference = ours.radiance[inside] - reference.picture.radiance[inside]
+    relative = np.sqrt((difference**2).mean() / (reference.picture.radiance[inside] ** 2).mean())
+    # Interpolation between vertices of a 10k-vertex ball adds to noise and sampling.
+    assert relative <= 3 * reference.noise + 0.01
+    # No bias: the mean difference is far below the largest single one.
+    assert abs(difference.mean()) <= 0.004 * reference.picture.radiance[inside].mean()
+
+
+@pytest.mark.parametrize("direction", [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0.6, 0.5, 0.6]])
+def test_the_lit_side_is_the_references_lit_side(direction):
+    axis = np.array(direction) / np.linalg.norm(direction)
+    v, u = np.meshgrid(np.pi * np.arange(33) / 32, np.pi * (np.arange(66) + 0.5) / 33, indexing="ij")
+    towards = np.stack([np.sin(v) * np.sin(u), np.cos(v), -np.sin(v) * np.cos(u)], axis=-1) @ axis
+    sky = make_environment(np.where(towards > 0.97, 50.0, 0.01)[..., None])
+    ball = sphere(4)
+    transfer = precompute(ball, bandlimit=8, samples=16)
+    with open_scene(ball) as (mi, scene):
+        reference = render_reference(mi, scene, sky, width=64, noise=0.02)
+        ours = trace_camera(mi, scene, 64).picture(relight(transfer, project_environment(sky, 8)))
+    a, b = ours.radiance[..., 0].ravel(), reference.picture.radiance[..., 0].ravel()
+    # Diffuse shading of a small light is bandlimited to a few per cent at L = 8; a wrong side would be near 0 or below.
+    assert np.corrcoef(a, b)[0, 1] > 0.99
+
+
+# --- Files -----------------------------------------------------------------------------------------------------------
+
+
+def test_npz(tmp_path):
+    mesh = sphere(1)
+    write_radiance(tmp_path / "out.npz", mesh, np.full((42, 3), 0.25))
+    with np.load(tmp_path / "out.npz", allow_pickle=False) as content:
+        np.testing.assert_array_equal(content["radiance"], np.full((42, 3), 0.25, dtype=np.float32))
+        np.testing.assert_array_equal(content["positions"], mesh.positions)
+
+
+def test_coloured_mesh_keeps_the_mesh_and_shades_by_radiance(tmp_path):
+    mesh = sphere(2)
+    radiance = np.repeat(0.5 + 0.5 * mesh.normals[:, 1:2], 3, axis=1)
+    write_coloured_mesh(tmp_path / "out.ply", mesh, radiance)
+    read = trimesh.load(tmp_path / "out.ply", process=False)
+    np.testing.assert_allclose(read.vertices, mesh.positions, atol=1e-6)
+    colours = read.visual.vertex_colors[:, 0].astype(float)
+    order = np.argsort(radiance[:, 0])
+    assert (np.diff(colours[order]) >= 0).all()
+    assert colours.max() > 200
+    assert colours.min() < 10
+
+
+def test_pictures(tmp_path):
+    radiance = np.zeros((20, 30, 3), dtype=np.float32)
+    radiance[5:15, 5:15] = [4.0, 2.0, 1.0]
+    picture = Picture(radiance, (radiance[..., 0] > 0).astype(np.float32))
+    for suffix in ("png", "exr"):
+        write_picture(tmp_path / f"out.{suffix}", picture)
+    mi = bitmap_module()
+    linear = np.array(mi.Bitmap(str(tmp_path / "out.exr")))
+    np.testing.assert_allclose(linear[..., :3], radiance)
+    np.testing.assert_allclose(linear[..., 3], picture.alpha)
+    encoded = np.array(mi.Bitmap(str(tmp_path / "out.png")))
+    assert encoded.dtype == np.uint8
+    assert encoded.shape == (20, 30, 4)
+    assert (encoded[..., 3] == 255 * picture.alpha).all()
+    assert encoded[10, 10, 0] > encoded[10, 10, 1] > encoded[10, 10, 2] > 0
+    with pytest.raises(UserError, match=r"written as \.png or \.exr"):
+        write_picture(tmp_path / "out.jpg", picture)
+
+
+def test_exposure_and_tone_curve():
+    flat = Picture(np.full((4, 4, 3), 10.0, dtype=np.float32), np.ones((4, 4), dtype=np.float32))
+    assert exposure(flat) == pytest.approx(0.085)
+    assert exposure(Picture(flat.radiance, np.zeros((4, 4), dtype=np.float32))) == 1.0
+    steps = np.linspace(0, 5, 200, dtype=np.float32).reshape(1, 200, 1).repeat(3, axis=2)
+    encoded = to_srgb(Picture(steps, np.ones((1, 200), dtype=np.float32)))[0, :, 0].astype(int)
+    assert (np.diff(encoded) >= 0).all()
+    assert encoded[0] == 0
+    assert encoded[-1] == 255
+    # sRGB of linear 0.2140 is 0.5 (IEC 61966-2-1).
+    middle = to_srgb(Picture(np.full((1, 1, 3), 0.21404, dtype=np.float32), np.ones((1, 1), dtype=np.float32)))
+    assert abs(int(middle[0, 0, 0]) - 128) <= 1

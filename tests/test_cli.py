@@ -1,0 +1,260 @@
+"""The command as a user meets it."""
+
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from slepian_prt.cli import _run
+from slepian_prt.scene.variants import bitmap_module
+from tests.conftest import bumpy
+
+COMMAND = [sys.executable, "-m", "slepian_prt.cli"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A mesh, two maps and a transfer file."""
+    folder = tmp_path_factory.mktemp("cli")
+    mesh = bumpy(3)
+    trimesh.Trimesh(mesh.positions, mesh.faces, process=False).export(folder / "ball.ply")
+    mi = bitmap_module()
+    rng = np.random.default_rng(3)
+    mi.Bitmap(rng.random((16, 32, 3)).astype(np.float32)).write(str(folder / "map.exr"))
+    broken = np.ones((16, 32, 3), dtype=np.float32)
+    broken[4, 4] = -500.0
+    mi.Bitmap(broken).write(str(folder / "negative.exr"))
+    mi.Bitmap(np.ones((16, 16, 3), dtype=np.float32)).write(str(folder / "square.exr"))
+    assert run(["precompute", folder / "ball.ply", "-o", folder / "ball.prt", *SMALL]) == 0
+    (folder / "cut.prt").write_bytes((folder / "ball.prt").read_bytes()[:5000])
+    return folder
+
+
+SMALL = ["--bandlimit", "4", "--samples", "64", "--clusters", "8"]
+
+
+def run(arguments) -> int:
+    return _run([str(a) for a in arguments])
+
+
+def test_precompute_reports(folder, capsys):
+    assert run(["precompute", folder / "ball.ply", "-o", folder / "again.prt", "--terms", "9", *SMALL]) == 0
+    captured = capsys.readouterr()
+    assert "shadows" in captured.out
+    assert "642 vertices, adapted, 9 functions of 25 in 8 caps" in captured.out
+    assert captured.err == ""  # quiet in a pipe
+
+
+def test_info(folder, capsys):
+    assert run(["info", folder / "ball.prt", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    stable = {"vertices", "bandlimit", "clusters", "terms", "bytes_per_vertex", "predicted_error", "effects"}
+    assert stable | {"rays_traced", "seconds"} <= set(content)
+    assert content["vertices"] == 642
+    assert content["predicted_error"] <= 0.02
+    assert {"name", "verdict", "contribution", "reason"} <= set(content["effects"][0])
+    assert run(["info", folder / "ball.prt"]) == 0
+    assert "predicted_error" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", ["npz", "ply", "png", "exr"])
+def test_relight(suffix, folder, capsys):
+    out = folder / f"lit.{suffix}"
+    assert run(["relight", folder / "ball.prt", "--environment", folder / "map.exr", "-o", out, "--width", "64"]) == 0
+    assert out.stat().st_size > 100
+    assert "642 vertices under map.exr" in capsys.readouterr().out
+
+
+def test_rotation_changes_the_light(folder):
+    results = []
+    for degrees in (0, 90, 360):
+        out = folder / f"turned{degrees}.npz"
+        arguments = [
+            "relight",
+            folder / "ball.prt",
+            "--environment",
+            folder / "map.exr",
+            "--rotate",
+            degrees,
+            "-o",
+            out,
+        ]
+        assert run(arguments) == 0
+        results.append(np.load(out)["radiance"])
+    np.testing.assert_allclose(results[0], results[2], atol=1e-5)
+    assert np.abs(results[0] - results[1]).max() > 0.01
+
+
+def test_clamp_negative(folder, capsys):
+    arguments = ["relight", folder / "ball.prt", "--environment", folder / "negative.exr", "-o", folder / "n.npz"]
+    assert run(arguments) == 2
+    assert run([*arguments, "--clamp-negative"]) == 0
+    assert "1 negative texels set to zero" in capsys.readouterr().err
+
+
+BAD = {
+    "missing mesh": (["precompute", "{}/no.ply", "-o", "{}/x.prt"], "no such file"),
+    "missing xml": (["precompute", "{}/no.xml", "-o", "{}/x.prt"], "no such file"),
+    "not a mesh": (["precompute", "{}/map.exr", "-o", "{}/x.prt"], "unknown mesh format"),
+    "bandlimit": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--bandlimit", "51"], "[0, 50], not 51"),
+    "bandlimit no number": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--bandlimit", "x"], "--bandlimit"),
+    "terms": (
+        ["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--terms", "500"],
+        "terms must be an integer in [1, 121]",
+    ),
+    "samples": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--samples", "0"], "samples must be"),
+    "two rules": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--terms", "4", "--tolerance", "0.1"], "only one of"),
+    "unknown basis": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--basis", "fourier"], "'fourier'"),
+    "no folder": (["precompute", "{}/ball.ply", "-o", "{}/none/x.prt"], "does not exist"),
+    "folder as file": (["precompute", "{}/ball.ply", "-o", "{}"], "is a folder"),
+    "no output": (["precompute", "{}/ball.ply"], "--output"),
+    "no file": (["info", "{}/none.prt"], "no such file"),
+    "cut file": (["info", "{}/cut.prt"], "cut short or damaged"),
+    "foreign file": (["info", "{}/ball.ply"], "not a transfer file"),
+    "no map": (["relight", "{}/ball.prt", "--environment", "{}/no.exr", "-o", "{}/x.png"], "no such file"),
+    "square map": (["relight", "{}/ball.prt", "--environment", "{}/square.exr", "-o", "{}/x.png"], "twice as wide"),
+    "negative map": (
+        ["relight", "{}/ball.prt", "--environment", "{}/negative.exr", "-o", "{}/x.png"],
+        "--clamp-negative",
+    ),
+    "mesh as map": (["relight", "{}/ball.prt", "--environment", "{}/ball.ply", "-o", "{}/x.png"], "cannot be read"),
+    "unknown output": (["relight", "{}/ball.prt", "--environment", "{}/map.exr", "-o", "{}/x.gif"], "unknown kind"),
+    "rotation": (
+        ["relight", "{}/ball.prt", "--environment", "{}/map.exr", "--rotate", "nan", "-o", "{}/x.png"],
+        "finite number of degrees",
+    ),
+    "width": (
+        ["relight", "{}/ball.prt", "--environment", "{}/map.exr", "--width", "0", "-o", "{}/x.png"],
+        "width must be",
+    ),
+    "compare without map": (["compare", "{}/ball.ply", "-o", "{}/x"], "--environment"),
+    "compare same map twice": (
+        ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "--environment", "{}/map.exr", "-o", "{}/x"],
+        "different names",
+    ),
+    "compare into a file": (
+        ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "-o", "{}/ball.ply"],
+        "not a folder",
+    ),
+    "compare unknown basis": (
+        ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "--basis", "x", "-o", "{}/x"],
+        "basis must be one of",
+    ),
+    "unknown command": (["fly"], "fly"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_mistakes_get_one_line_and_status_two(case, folder, capsys):
+    arguments, message = BAD[case]
+    before = sorted(folder.iterdir())
+    assert run([a.format(folder) for a in arguments]) == 2
+    captured = capsys.readouterr()
+    lines = captured.err.strip().splitlines()
+    assert len(lines) == 1, captured.err
+    assert lines[0].startswith("slepian-prt: ")
+    assert message in lines[0]
+    assert "Traceback" not in captured.out + captured.err
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_folder_that_is_not_writable(folder, tmp_path, capsys):
+    tmp_path.chmod(0o500)
+    assert run(["precompute", folder / "ball.ply", "-o", tmp_path / "x.prt", *SMALL]) == 2
+    assert "not writable" in capsys.readouterr().err
+
+
+def test_a_fault_of_ours_is_one_line_and_status_one(folder, capsys, monkeypatch):
+    def fail(*_args, **_kwargs):
+        raise RuntimeError("something\nwith lines")
+
+    monkeypatch.setattr("slepian_prt.compression.compressed.load", fail)
+    assert run(["info", folder / "ball.prt"]) == 1
+    error = capsys.readouterr().err
+    assert len(error.strip().splitlines()) == 1
+    assert "internal error, RuntimeError: something with lines" in error
+
+
+def test_help_needs_no_renderer():
+    code = "import sys; from slepian_prt.cli import _run; _run(['--help']); print('mitsuba' in sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "precompute" in out
+    assert out.strip().endswith("False")
+
+
+def test_interrupt_leaves_nothing(folder, tmp_path):
+    ball = trimesh.creation.icosphere(6)
+    bumps = ball.vertices * (1 + 0.2 * np.sin(6 * ball.vertices).prod(axis=1))[:, None]
+    trimesh.Trimesh(bumps, ball.faces, process=False).export(tmp_path / "big.ply")
+    process = subprocess.Popen(
+        [*COMMAND, "precompute", tmp_path / "big.ply", "-o", tmp_path / "big.prt", "--samples", "8192"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert "effect" in process.stdout.readline()  # the plan is printed, the rays are being traced
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 130, error
+    assert error.strip().splitlines() == ["slepian-prt: interrupted; nothing was written"]
+    assert [p.name for p in tmp_path.iterdir()] == ["big.ply"]
+
+
+def test_progress_on_a_terminal(folder, tmp_path):
+    ball = trimesh.creation.icosphere(6)
+    bumps = ball.vertices * (1 + 0.2 * np.sin(6 * ball.vertices).prod(axis=1))[:, None]
+    trimesh.Trimesh(bumps, ball.faces, process=False).export(tmp_path / "big.ply")
+    leader, follower = pty.openpty()
+    process = subprocess.Popen(
+        [*COMMAND, "precompute", tmp_path / "big.ply", "-o", tmp_path / "big.prt", "--samples", "1024"],
+        stdout=subprocess.DEVNULL,
+        stderr=follower,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "120"},
+    )
+    os.close(follower)
+    seen = b""
+    while process.poll() is None or select.select([leader], [], [], 0.2)[0]:
+        if not select.select([leader], [], [], 0.2)[0]:
+            continue
+        try:
+            chunk = os.read(leader, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not chunk:
+            break
+        seen += chunk
+    os.close(leader)
+    assert process.wait(timeout=60) == 0
+    text = seen.decode(errors="replace")
+    assert "vertices" in text
+    assert "/s" in text
+    assert "left" in text
+    assert "40962" in text
+
+
+@pytest.mark.slow
+def test_compare_end_to_end(folder, capsys):
+    arguments = ["compare", folder / "ball.ply", "--environment", folder / "map.exr", "-o", folder / "report"]
+    assert run([*arguments, *SMALL, "--width", "64", "--terms", "4", "--basis", "adapted", "--basis", "sh"]) == 0
+    assert "report.html" in capsys.readouterr().out
+    results = json.loads((folder / "report" / "results.json").read_text())
+    assert [m["basis"] for m in results["methods"]] == ["adapted", "sh", "none"]
+
+
+@pytest.mark.slow
+def test_doctor(capsys):
+    assert run(["doctor", "--json"]) == 0
+    findings = {f["subject"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
+    assert findings["mitsuba"]["value"].startswith("3.9.")
+    assert "Mrays/s" in findings["speed"]["value"]
