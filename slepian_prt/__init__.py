@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from slepian_prt.relighting.relight import relight
     from slepian_prt.scene.environments import Environment, project_environment, read_environment
     from slepian_prt.scene.meshes import Mesh, make_mesh, read_mesh
-    from slepian_prt.slepian.concentration import CapBasis, cap_basis
+    from slepian_prt.slepian.concentration import CapBasis, RegionBasis, cap_basis, region_basis
     from slepian_prt.slepian.kernels import SecondMoment, cosine_lobe, measured_moment, zonal_coefficients
     from slepian_prt.slepian.shannon import (
         concentration_count,
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     )
     from slepian_prt.sphere.caps import minimal_enclosing_cap
     from slepian_prt.sphere.harmonics import real_sh
+    from slepian_prt.sphere.regions import cap_region, mask_region, polygon_region
     from slepian_prt.sphere.rotation import rotate_sh
     from slepian_prt.transport.transfer import Transfer, precompute
 
@@ -38,24 +39,29 @@ _HOME = {
     "CompressedTransfer": "compression.compressed",
     "Environment": "scene.environments",
     "Mesh": "scene.meshes",
+    "RegionBasis": "slepian.concentration",
     "SecondMoment": "slepian.kernels",
     "Transfer": "transport.transfer",
     "UserError": "errors",
     "cap_basis": "slepian.concentration",
+    "cap_region": "sphere.regions",
     "compress": "compression.compressed",
     "concentration_count": "slepian.shannon",
     "cosine_lobe": "slepian.kernels",
     "generalized_shannon_number": "slepian.shannon",
     "load": "compression.compressed",
     "make_mesh": "scene.meshes",
+    "mask_region": "sphere.regions",
     "measured_moment": "slepian.kernels",
     "minimal_enclosing_cap": "sphere.caps",
+    "polygon_region": "sphere.regions",
     "precompute": "transport.transfer",
     "project_environment": "scene.environments",
     "read_environment": "scene.environments",
     "read_mesh": "scene.meshes",
     "real_sh": "sphere.harmonics",
     "refined_shannon_number": "slepian.shannon",
+    "region_basis": "slepian.concentration",
     "relight": "relighting.relight",
     "rotate_sh": "sphere.rotation",
     "shannon_number": "slepian.shannon",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import shlex
 import sys
@@ -63,6 +64,51 @@ def doctor(as_json: bool) -> int:
             if finding.remedy:
                 click.echo(f"    {'':<{width}}  -> {finding.remedy}")
     return 0 if healthy else 2
+
+
+@cli.command()
+@click.option("--bandlimit", required=True, type=int, help="Highest degree L, up to 500.")
+@click.option("--half-angle", required=True, type=float, metavar="DEG", help="Half-angle of the cap, in degrees.")
+@click.option("--kernel", default="slepian", show_default=True, help="slepian, diffuse or phong:EXPONENT.")
+@click.option("--epsilon", default=0.01, show_default=True, help="Concentration down to which functions count.")
+@click.option("--json", "json_file", type=click.Path(), help="Write all eigenvalues and numbers to this file.")
+@click.option("--plot", "plot_file", type=click.Path(), help="Write a plot to this .png.")
+def spectrum(
+    bandlimit: int, half_angle: float, kernel: str, epsilon: float, json_file: str | None, plot_file: str | None
+) -> None:
+    """Eigenvalues of the concentration problem on a cap, and the Shannon numbers that estimate their count."""
+    from slepian_prt.compression import archive
+    from slepian_prt.evaluation import spectra
+
+    if not 0.0 <= half_angle <= 180.0:
+        raise UserError(f"half-angle must be between 0 and 180 degrees, not {half_angle:g}")
+    for path in (json_file, plot_file):
+        if path is not None:
+            archive.check_writable(path)
+    if plot_file is not None and Path(plot_file).suffix.lower() != ".png":
+        raise UserError(f"{plot_file}: plots are written as .png")
+    result = spectra.spectrum(bandlimit, math.radians(half_angle), kernel, epsilon)
+    numbers = result.numbers
+    click.echo(f"L = {bandlimit}, half-angle {half_angle:g} degrees, {(bandlimit + 1) ** 2} functions, kernel {kernel}")
+    click.echo(f"concentrations above {epsilon:g}: {numbers['count']:.0f}")
+    for name, text in (
+        ("shannon", "Shannon number N"),
+        ("n_g", "generalised, N_g (Lessig & Fiume 2010, base-10 logarithms)"),
+        ("n_g_natural", "generalised, natural logarithms"),
+        ("n_ref", "two-term asymptotics, N_ref"),
+    ):
+        click.echo(f"{numbers[name]:10.2f}  {text}")
+    shown = min(len(result.eigenvalues), 12)
+    click.echo(f"first eigenvalues{'' if kernel == 'slepian' else ', relative to the first'} (order m):")
+    for value, order in zip(result.eigenvalues[:shown], result.orders[:shown], strict=True):
+        click.echo(f"  {value:.10g}  (m = {order:+d})")
+    if json_file is not None:
+        with archive.atomic_output(json_file) as file:
+            file.write((json.dumps(result.as_dict(), indent=1) + "\n").encode())
+    if plot_file is not None:
+        content = spectra.plot_spectrum(result)
+        with archive.atomic_output(plot_file) as file:
+            file.write(content)
 
 
 @cli.command()

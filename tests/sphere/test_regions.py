@@ -1,0 +1,134 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from slepian_prt.slepian.concentration import cap_basis, region_basis
+from slepian_prt.sphere.caps import cap_area
+from slepian_prt.sphere.harmonics import real_sh
+from slepian_prt.sphere.quadrature import spherical_fibonacci
+from slepian_prt.sphere.regions import cap_region, mask_region, polygon_region, region_area
+from tests.conftest import random_directions
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, math.pi))
+@settings(max_examples=40, deadline=None)
+def test_area_of_a_cap_anywhere(seed, half_angle):
+    center = random_directions(np.random.default_rng(seed), 1)[0]
+    region = cap_region(center, half_angle)
+    assert region_area(region) == pytest.approx(cap_area(half_angle), abs=1e-12)
+    assert region_area(~region) == pytest.approx(4 * math.pi - cap_area(half_angle), abs=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_unions_and_differences_add_up(seed):
+    rng = np.random.default_rng(seed)
+    a, b = (cap_region(random_directions(rng, 1)[0], rng.uniform(0.1, 2.0)) for _ in range(2))
+    union, common, rest = region_area(a | b), region_area(a & b), region_area(a - b)
+    assert union + common == pytest.approx(region_area(a) + region_area(b), abs=1e-11)
+    assert rest + common == pytest.approx(region_area(a), abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "area"),
+    [
+        (np.eye(3), math.pi / 2),  # an octant
+        (np.eye(3)[::-1], 4 * math.pi - math.pi / 2),  # the other way round: what is left of it
+        ([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], 2 * math.pi),  # the upper hemisphere
+    ],
+)
+def test_area_of_polygons(vertices, area):
+    assert region_area(polygon_region(vertices)) == pytest.approx(area, abs=1e-12)
+
+
+def test_polygon_with_a_dent_by_its_angles():
+    # A star-shaped, not convex polygon: area = sum of interior angles - (n - 2)π (Girard).
+    azimuth = np.linspace(0, 2 * math.pi, 10, endpoint=False)
+    polar = np.where(np.arange(10) % 2 == 0, 0.9, 0.4)
+    v = np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
+    turn = np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
+    v = v @ turn.T
+    total = 0.0
+    for i in range(10):
+        before, here, after = v[i - 1], v[i], v[(i + 1) % 10]
+        to_before, to_after = (p - (p @ here) * here for p in (before, after))
+        angle = math.atan2(np.cross(to_after, to_before) @ here, to_after @ to_before)
+        total += angle % (2 * math.pi)
+    region = polygon_region(v)
+    assert region_area(region) == pytest.approx(total - 8 * math.pi, abs=1e-11)
+    directions = spherical_fibonacci(100_000)
+    assert region.contains(directions).mean() * 4 * math.pi == pytest.approx(total - 8 * math.pi, abs=5e-3)
+
+
+@pytest.mark.parametrize("bandlimit", [0, 3, 11, 20])
+def test_a_cap_as_a_region_has_the_caps_spectrum(bandlimit):
+    center, half_angle = [0.3, -0.5, 0.6], 0.7
+    cap, region = cap_basis(bandlimit, half_angle, center), region_basis(bandlimit, cap_region(center, half_angle))
+    np.testing.assert_allclose(region.eigenvalues, cap.eigenvalues, atol=2e-14)
+    # Leakages keep their digits too, as far as the rule's own rounding of 1e-16 relative to the largest allows.
+    small = cap.leakages < 0.5
+    np.testing.assert_allclose(region.leakages[small], cap.leakages[small], rtol=1e-6, atol=1e-18)
+    np.testing.assert_allclose(region.functions.T @ region.functions, np.eye(len(region)), atol=1e-13)
+
+
+@pytest.mark.parametrize("make", ["polygon", "two caps", "ring", "mask"])
+def test_localisation_matrix_against_brute_force(make):
+    bandlimit = 6
+    region = {
+        "polygon": polygon_region(np.eye(3)),
+        "two caps": cap_region([0, 0, 1], 0.5) | cap_region([1, 0, 0], 0.6),
+        "ring": cap_region([0.1, 0.2, 1], 1.2) - cap_region([0.1, 0.2, 1], 0.8),
+        "mask": mask_region(np.arange(32 * 64).reshape(32, 64) % 7 < 3),
+    }[make]
+    basis = region_basis(bandlimit, region)
+    directions = spherical_fibonacci(400_000)
+    y = real_sh(bandlimit, directions[region.contains(directions)])
+    brute = y.T @ y * (4 * math.pi / 400_000)
+    ours = basis.functions @ np.diag(basis.eigenvalues) @ basis.functions.T
+    np.testing.assert_allclose(ours, brute, atol=2e-3)  # the brute force resolves the boundary to about N^-3/4
+    assert basis.eigenvalues.sum() == pytest.approx(
+        (bandlimit + 1) ** 2 * region_area(region) / (4 * math.pi), rel=1e-12
+    )
+    np.testing.assert_allclose(basis.eigenvalues + basis.leakages, 1.0, atol=1e-13)
+    assert (np.diff(basis.eigenvalues) <= 1e-13).all()
+
+
+def test_masks_that_wrap_and_fill_rows():
+    mask = np.zeros((8, 12), dtype=bool)
+    mask[2, [0, 1, 10, 11]] = True
+    mask[5] = True
+    polar = np.pi * np.arange(9) / 8
+    exact = (math.cos(polar[2]) - math.cos(polar[3])) * 2 * math.pi * 4 / 12
+    exact += (math.cos(polar[5]) - math.cos(polar[6])) * 2 * math.pi
+    assert region_area(mask_region(mask)) == pytest.approx(exact, rel=1e-13)
+    assert region_area(~mask_region(mask)) == pytest.approx(4 * math.pi - exact, rel=1e-13)
+
+
+def test_threshold():
+    region = cap_region([0, 0, 1], 0.5)
+    assert len(region_basis(10, region, threshold=0.01)) == int((cap_basis(10, 0.5).eigenvalues > 0.01).sum())
+
+
+def test_whole_sphere():
+    basis = region_basis(5, mask_region(np.ones((4, 8))))
+    np.testing.assert_allclose(basis.eigenvalues, 1.0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: region_basis(3, mask_region(np.zeros((4, 8)))), "region must have an area above zero"),
+        (lambda: region_basis(3, cap_region([0, 0, 1], 0.3) - cap_region([0, 0, 1], 0.4)), "area above zero"),
+        (lambda: polygon_region([[1, 0, 0], [0, 1, 0]]), "at least three directions, not 2"),
+        (lambda: polygon_region([[1, 0, 0], [1, 0, 0], [0, 1, 0]]), "neither equal nor opposite"),
+        (lambda: polygon_region([[1, 0, 0], [0, 0, 0], [0, 1, 0]]), r"vertices\[1\] must be finite and not zero"),
+        (lambda: mask_region(np.zeros(4)), r"mask must have shape \(H, W\)"),
+        (lambda: cap_region([0, 0, 1], 4.0), "half_angle must be"),
+    ],
+)
+def test_bad_regions(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
