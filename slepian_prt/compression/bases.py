@@ -286,8 +286,7 @@ def _radial_candidate(problem: Problem, cap: Cap, radial: NDArray, orders: NDArr
 def _predicted(problem: Problem, cap: Cap, in_cap_frame: NDArray, cut: Callable[[int], LinearBasis]) -> Candidate:
     """A candidate of orthonormal functions, (K_max, (L+1)²) in the cap's frame, with what the pilot lets expect."""
     factors = problem.moment_factors(shared_half_angle(cap.half_angle))
-    total = sum((1 if m == 0 else 2) * float(np.sum(f * f)) for m, f in enumerate(factors))
-    return Candidate(_energies(in_cap_frame, factors), total, cut)
+    return Candidate(_energies(in_cap_frame, factors), problem.pilot_moment.energy, cut)
 
 
 def _energies(in_cap_frame: NDArray, factors: list[NDArray]) -> NDArray[np.float64]:

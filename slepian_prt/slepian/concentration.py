@@ -8,14 +8,14 @@ instead of the 500 GB of its dense matrix.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import UserError, check_bandlimit, check_directions, check_half_angle
+from slepian_prt.errors import UserError, check_bandlimit, check_directions, check_half_angle, check_terms
 from slepian_prt.slepian.kernels import SecondMoment
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
@@ -77,16 +77,6 @@ class CapBasis:
         """(K, (L+1)²): SH coefficients in the cap's own frame, one row per function."""
         return scatter_radial(self.radial, self.orders)
 
-    def truncated(self, terms: int) -> CapBasis:
-        """The first ``terms`` functions."""
-        return replace(
-            self,
-            orders=self.orders[:terms],
-            ranks=self.ranks[:terms],
-            eigenvalues=self.eigenvalues[:terms],
-            leakages=None if self.leakages is None else self.leakages[:terms],
-        )
-
 
 def scatter_radial(radial: NDArray, orders: NDArray) -> NDArray[np.float64]:
     """SH coefficients (K, (L+1)²) of functions given by radial coefficients (K, L+1) and signed orders (K,)."""
@@ -105,6 +95,7 @@ def cap_basis(
     center: ArrayLike = (0.0, 0.0, 1.0),
     kernel: ArrayLike | SecondMoment | None = None,
     *,
+    terms: int | None = None,
     threshold: float | None = None,
     radially_symmetric: bool = False,
 ) -> CapBasis:
@@ -121,8 +112,10 @@ def cap_basis(
         None solves the plain problem (Slepian functions: Simons, Dahlen & Wieczorek, SIAM Review 2006) through
         Grünbaum's commuting tridiagonal operator. Otherwise the eigenvectors of C_U = (1/|U|) ∫_U R_n C₀ R_nᵀ dn,
         from the singular values of a factor.
+    terms : int, optional
+        Only the first K functions, 1 <= K <= M with M = (L+1)², or L+1 radially symmetric ones.
     threshold : float, optional
-        Only functions whose eigenvalue is above it; much faster at high L. By default all (L+1)².
+        Only functions whose eigenvalue is above it; much faster at high L. By default all M.
     radially_symmetric : bool
         Only functions of order 0.
 
@@ -141,6 +134,8 @@ def cap_basis(
     if threshold is not None and not threshold >= 0.0:
         raise UserError(f"threshold must be >= 0, not {threshold!r}")
     last_order = 0 if radially_symmetric else bandlimit
+    if terms is not None:
+        terms = check_terms(terms, bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit))
     if kernel is None:
         blocks, values, leakages = _plain_blocks(bandlimit, half_angle, last_order, threshold)
     else:
@@ -151,7 +146,7 @@ def cap_basis(
             blocks.append(vectors)
             values.append(eigenvalues)
         leakages = None
-    return _merge(bandlimit, half_angle, axis, blocks, values, leakages, threshold)
+    return _merge(bandlimit, half_angle, axis, blocks, values, leakages, terms, threshold)
 
 
 # --- The plain problem -----------------------------------------------------------------------------------------------
@@ -310,6 +305,7 @@ def _merge(
     blocks: list[NDArray],
     values: list[NDArray],
     leakages: list[NDArray] | None,
+    terms: int | None,
     threshold: float | None,
 ) -> CapBasis:
     """One list over all orders, strongest first, never changing the order within one m.
@@ -324,7 +320,7 @@ def _merge(
     if threshold is not None:
         keep &= eigenvalues > threshold
     index = np.flatnonzero(keep)
-    index = index[np.lexsort((orders[index] < 0, np.abs(orders[index]), ranks[index], -falling[index]))]
+    index = index[np.lexsort((orders[index] < 0, np.abs(orders[index]), ranks[index], -falling[index]))][:terms]
     missing = bandlimit + 1 - len(blocks)
     empty = tuple(np.zeros((missing - i, 0)) for i in range(missing))
     leak = None if leakages is None else np.concatenate([v for v in leakages for _ in (1, 2)])[index]

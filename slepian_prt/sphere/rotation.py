@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import UserError, check_bandlimit, check_directions
+from slepian_prt.errors import UserError, check_directions
 from slepian_prt.sphere.harmonics import num_coefficients
 
 
@@ -83,20 +83,6 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[np.float6
         v = _turn(v @ about_y.T, turn_beta) @ about_y
         out[..., degree] = _turn(v, turn_alpha)
     return out
-
-
-def rotation_matrices(bandlimit: int, rotation: ArrayLike) -> list[NDArray[np.float64]]:
-    """Dense blocks D_l of one rotation, l = 0..L: y_l(R ω) = D_l y_l(ω), each (2l+1, 2l+1)."""
-    bandlimit = check_bandlimit(bandlimit)
-    alpha, beta, gamma = _euler_zyz(np.asarray(rotation, dtype=np.float64))
-    turns = [_cos_sin_multiples(bandlimit, angle) for angle in (alpha, beta, gamma)]
-    blocks = []
-    for l in range(bandlimit + 1):
-        about_y = _to_y_axis(l)
-        rows = _turn(np.eye(2 * l + 1), turns[2])
-        rows = _turn(rows @ about_y.T, turns[1]) @ about_y
-        blocks.append(_turn(rows, turns[0]).T)
-    return blocks
 
 
 def _turn(v: NDArray, cos_sin: tuple[NDArray, NDArray]) -> NDArray:

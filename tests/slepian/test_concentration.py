@@ -337,6 +337,20 @@ def test_bad_arguments_are_named(arguments, message):
         cap_basis(*arguments)
 
 
+@pytest.mark.parametrize("terms", [0, 17, 2.0, True])
+def test_bad_terms(terms):
+    with pytest.raises(ValueError, match=r"terms must be an integer in \[1, 16\]"):
+        cap_basis(3, 0.5, terms=terms)
+
+
+@pytest.mark.parametrize("kernel", [None, cosine_lobe(5)])
+def test_first_terms(kernel):
+    full, head = cap_basis(5, 0.5, kernel=kernel), cap_basis(5, 0.5, kernel=kernel, terms=7)
+    assert len(head) == 7
+    np.testing.assert_array_equal(head.functions, full.functions[:, :7])
+    np.testing.assert_array_equal(head.eigenvalues, full.eigenvalues[:7])
+
+
 def test_bad_threshold():
     with pytest.raises(ValueError, match="threshold"):
         cap_basis(3, 0.5, threshold=float("nan"))

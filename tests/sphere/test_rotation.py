@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slepian_prt.sphere.harmonics import real_sh
-from slepian_prt.sphere.rotation import rotate_sh, rotation_matrices, rotation_to
+from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from tests.conftest import random_directions
 
 EXTREME = [
@@ -80,16 +80,6 @@ def test_batches_broadcast(rng):
         np.testing.assert_allclose(pairwise[i], rotate_sh(f[i], matrices[i]), atol=1e-14)
         np.testing.assert_allclose(one_by_many[i], rotate_sh(f[0], matrices[i]), atol=1e-14)
         np.testing.assert_allclose(many_by_one[i], rotate_sh(f[i], matrices[0]), atol=1e-14)
-
-
-def test_dense_blocks_agree(rng):
-    matrix = EXTREME[-1].as_matrix()
-    f = rng.normal(size=36)
-    blocks = rotation_matrices(5, matrix)
-    expected = np.concatenate([block @ f[l * l : (l + 1) ** 2] for l, block in enumerate(blocks)])
-    np.testing.assert_allclose(rotate_sh(f, matrix), expected, atol=1e-14)
-    d = np.array([0.36, 0.48, -0.8])
-    np.testing.assert_allclose(blocks[3] @ real_sh(5, d)[0, 9:16], real_sh(5, matrix @ d)[0, 9:16], atol=1e-14)
 
 
 def test_against_pyshtools(rng):
