@@ -128,7 +128,11 @@ def spectrum(
 @click.option("--truncate", type=click.Choice(["n_g", "n_ref", "count"]), help="Instead: at the cap's Shannon number.")
 @click.option("--epsilon", default=0.01, show_default=True, help="Concentration that --truncate counts down to.")
 @clusters_option
-@click.option("--coding", type=click.Choice(["float32", "float16"]), default="float32", show_default=True)
+@click.option(
+    "--coding",
+    type=click.Choice(["coded", "float16", "float32"]),
+    help="Coefficients: rounded, predicted, entropy-coded; or plain.  [default: coded; by --terms, --truncate float32]",
+)
 @seed_option
 def precompute(
     scene: str,
@@ -141,7 +145,7 @@ def precompute(
     truncate: str | None,
     epsilon: float,
     clusters: int,
-    coding: str,
+    coding: str | None,
     seed: int,
 ) -> None:
     """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file."""
@@ -149,7 +153,7 @@ def precompute(
     from slepian_prt.compression.compressed import check_options, compress
     from slepian_prt.transport.transfer import precompute as trace
 
-    check_options(basis, tolerance, terms, truncate, epsilon, clusters, coding, bandlimit)
+    check_options(basis, tolerance, terms, truncate, epsilon, clusters, coding or "coded", bandlimit)
     archive.check_writable(output)
     with progress("transport", "vertices") as advance:
         transfer = trace(scene, bandlimit, samples, seed=seed, on_plan=print_plan, advance=advance)
@@ -187,6 +191,7 @@ def info(file: str, as_json: bool) -> None:
         "faces": len(packed.mesh.faces),
         "bandlimit": packed.bandlimit,
         "basis": packed.basis,
+        "coding": packed.coding,
         "clusters": len(packed.bases),
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
@@ -289,11 +294,11 @@ def compare(
     from slepian_prt.scene.environments import read_environment
 
     for basis in bases:
-        check_options(basis, None, None, None, 0.01, clusters, "float32", bandlimit)
+        check_options(basis, None, None, None, 0.01, clusters, "coded", bandlimit)
         if basis == "none":
             raise UserError("basis none is full SH, which every comparison shows; leave it out")
     for k in terms:
-        check_options("sh", None, k, None, 0.01, clusters, "float32", bandlimit)
+        check_options("sh", None, k, None, 0.01, clusters, "coded", bandlimit)
     check_width(width)
     report.check_folder(output)
     maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]

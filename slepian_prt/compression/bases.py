@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -41,9 +41,9 @@ class LinearBasis:
     center : (3,)
     orders : (K,) int16 or None, radial : (K, L+1) float32 or None
         Functions of one order each in the cap's frame.
-    dense : (K, (L+1)²) float32 or None
+    dense : (K, (L+1)²) float32, float16 or None
         Functions in the world frame. If this and ``radial`` are None, the functions are the first K harmonics.
-    mean : ((L+1)²,) float32 or None
+    mean : ((L+1)²,) float32, float16 or None
     count, bandlimit : int
         K and L.
     """
@@ -53,8 +53,8 @@ class LinearBasis:
     count: int
     orders: NDArray[np.int16] | None = None
     radial: NDArray[np.float32] | None = None
-    dense: NDArray[np.float32] | None = None
-    mean: NDArray[np.float32] | None = None
+    dense: NDArray | None = None
+    mean: NDArray | None = None
 
     @cached_property
     def functions(self) -> NDArray[np.float64]:
@@ -64,6 +64,22 @@ class LinearBasis:
         if self.dense is not None:
             return self.dense.astype(np.float64)
         return np.eye(self.count, num_coefficients(self.bandlimit))
+
+    def first(self, count: int) -> LinearBasis:
+        """The basis of the first ``count`` functions."""
+        return replace(
+            self,
+            count=count,
+            orders=None if self.orders is None else self.orders[:count],
+            radial=None if self.radial is None else self.radial[:count],
+            dense=None if self.dense is None else self.dense[:count],
+        )
+
+    def halved(self) -> LinearBasis:
+        """The basis with what depends on the data, ``dense`` and ``mean``, in float16."""
+        half = (None if part is None else part.astype(np.float16) for part in (self.dense, self.mean))
+        dense, mean = half
+        return replace(self, dense=dense, mean=mean)
 
     def project(self, vectors: NDArray) -> NDArray[np.float32]:
         """(n, K) coefficients of transfer vectors (n, (L+1)²)."""
@@ -77,8 +93,63 @@ class LinearBasis:
 
     def light(self, lighting: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """What each function, (K, 3), and the mean, (3,), make of lighting (3, (L+1)²)."""
-        mean = np.zeros(3) if self.mean is None else np.asarray(lighting @ self.mean, dtype=np.float64)
+        mean = np.zeros(3) if self.mean is None else lighting @ self.mean.astype(np.float64)
         return self.functions @ lighting.T, mean
+
+
+def pack_radial(bases: tuple[LinearBasis, ...]) -> dict[str, NDArray]:
+    """Arrays that hold the radial bases of all caps, each function once.
+
+    Caps of the same shared half-angle have the same functions, and so have the orders m and -m; coefficients of
+    degrees below |m| are zero. Stored are one table of functions per family of caps, the family of each cap, and for
+    each function whether it repeats the one before it.
+    """
+    families: list[tuple[NDArray[np.int16], NDArray[np.float32]]] = []
+    family = np.zeros(len(bases), dtype=np.uint16)
+    for i, basis in enumerate(bases):
+        if basis.orders is None or basis.radial is None:
+            raise ValueError("all bases must be radial")
+        mine = (basis.orders, basis.radial)
+        for j, known in enumerate(families):
+            k = min(len(mine[0]), len(known[0]))
+            if np.array_equal(mine[0][:k], known[0][:k]) and np.array_equal(mine[1][:k], known[1][:k]):
+                families[j], family[i] = (mine if len(mine[0]) > k else known), j
+                break
+        else:
+            family[i] = len(families)
+            families.append(mine)
+    repeats, values = [], []
+    for orders, radial in families:
+        for k, (m, row) in enumerate(zip(orders, radial, strict=True)):
+            repeats.append(k > 0 and np.array_equal(row, radial[k - 1]))
+            if not repeats[-1]:
+                values.append(row[abs(m) :])
+    return {
+        "radial/family": family,
+        "radial/count": np.array([len(orders) for orders, _ in families], dtype=np.uint16),
+        "radial/order": np.concatenate([orders for orders, _ in families]),
+        "radial/repeats": np.packbits(repeats),
+        "radial/values": np.concatenate(values),
+    }
+
+
+def unpack_radial(
+    arrays: dict[str, NDArray], terms: NDArray, bandlimit: int
+) -> tuple[list[NDArray[np.int16]], list[NDArray[np.float32]]]:
+    """Orders and radial coefficients of each cap from what `pack_radial` made."""
+    counts, orders = arrays["radial/count"].astype(np.int64), arrays["radial/order"]
+    repeats = np.unpackbits(arrays["radial/repeats"], count=orders.size).astype(bool)
+    radial = np.zeros((orders.size, bandlimit + 1), dtype=np.float32)
+    taken = 0
+    for k, m in enumerate(np.abs(orders)):
+        if repeats[k]:
+            radial[k] = radial[k - 1]
+        else:
+            radial[k, m:] = arrays["radial/values"][taken : taken + bandlimit + 1 - m]
+            taken += bandlimit + 1 - m
+    starts = np.concatenate([[0], np.cumsum(counts)])[arrays["radial/family"]]
+    chosen = [slice(start, start + k) for start, k in zip(starts, terms, strict=True)]
+    return [orders[s] for s in chosen], [radial[s] for s in chosen]
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import slepian_prt
-from slepian_prt.compression import archive, truncation
-from slepian_prt.compression.bases import BASES, Candidate, LinearBasis, Problem, candidates
+from slepian_prt.compression import archive, codec, truncation
+from slepian_prt.compression.bases import (
+    BASES,
+    Candidate,
+    LinearBasis,
+    Problem,
+    candidates,
+    pack_radial,
+    unpack_radial,
+)
 from slepian_prt.compression.clusters import Clusters, cluster_normals
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
 from slepian_prt.scene.meshes import Mesh
@@ -27,7 +35,12 @@ from slepian_prt.transport.transfer import LARGEST_BANDLIMIT, Transfer
 DEFAULT_CLUSTERS = 96
 DEFAULT_TOLERANCE = 0.02
 LARGEST_CLUSTERS = 4096
-CODINGS = {"float32": np.float32, "float16": np.float16}
+CODINGS = ("coded", "float16", "float32")
+
+# With a given number of functions, rounding may add this part to the squared error of leaving out the others.
+_ROUNDING_SHARE = 0.1
+_FINEST_ROUNDING = 1e-3
+_STEP_SAMPLE = 4096
 
 
 @dataclass(frozen=True)
@@ -46,6 +59,10 @@ class CompressedTransfer:
     clusters : Clusters
     coefficients : tuple of (n_c, K_c) arrays, float32 or float16
         In the order of ``clusters.members``.
+    coding : str
+        ``coded`` (rounded to multiples of ``step``, predicted and entropy-coded in the file), ``float16``, ``float32``.
+    step : float
+        0 unless coded.
     predicted_error : float
         Relative RMS error of the transfer vectors that the basis's own model of transport expects.
     effects : tuple of Effect
@@ -61,6 +78,8 @@ class CompressedTransfer:
     bases: tuple[LinearBasis, ...]
     clusters: Clusters
     coefficients: tuple[NDArray, ...]
+    coding: str
+    step: float
     predicted_error: float
     effects: tuple[Effect, ...]
     samples: int
@@ -111,6 +130,8 @@ class CompressedTransfer:
         manifest = {
             "bandlimit": self.bandlimit,
             "basis": self.basis,
+            "coding": self.coding,
+            "step": self.step,
             "parts": [[part.name, part.first, part.count] for part in self.parts],
             "name": self.mesh.name,
             "notes": list(self.mesh.notes),
@@ -138,13 +159,58 @@ class CompressedTransfer:
             "caps/center": np.array([cap.center for cap in caps]),
             "caps/half_angle": np.array([cap.half_angle for cap in caps]),
             "caps/terms": np.array([basis.count for basis in self.bases], dtype=np.uint16),
-            "coefficients": np.concatenate([values.ravel() for values in self.coefficients]),
         }
-        for name in ("orders", "radial", "dense", "mean"):
+        if self.coding == "coded":
+            arrays |= self._coded_arrays()
+        else:
+            arrays["coefficients"] = np.concatenate([values.ravel() for values in self.coefficients])
+        if self.bases[0].radial is not None:
+            arrays |= pack_radial(self.bases)
+        for name in ("dense", "mean"):
             parts = [getattr(basis, name) for basis in self.bases]
             if parts[0] is not None:
                 arrays[f"basis/{name}"] = np.concatenate([np.atleast_1d(part).ravel() for part in parts])
         return arrays
+
+    def _coded_arrays(self) -> dict[str, NDArray]:
+        order, neighbours = _surface(self.mesh, self.clusters)
+        quantised = [
+            codec.quantise(values[np.searchsorted(members, along)], self.step)
+            for values, members, along in zip(self.coefficients, self.clusters.members, order, strict=True)
+        ]
+        coded = codec.encode(quantised, neighbours)
+        return {
+            "coded/words": np.concatenate([cap.words for cap in coded.caps]),
+            "coded/lengths": np.array([cap.words.size for cap in coded.caps], dtype=np.uint32),
+            "coded/classes": np.concatenate([cap.classes for cap in coded.caps]),
+            "coded/escapes": np.concatenate([cap.escapes for cap in coded.caps]),
+            "coded/escape_counts": np.array([cap.escapes.size for cap in coded.caps], dtype=np.uint32),
+            "coded/histograms": coded.histograms,
+            "coded/shrink": coded.shrink,
+        }
+
+
+def _surface(mesh: Mesh, clusters: Clusters) -> tuple[list[NDArray], list[Any]]:
+    """Members of each cap in the order of coding, and who neighbours whom among them."""
+    order = codec.surface_order(mesh.positions, clusters.members)
+    pattern = codec.adjacency(mesh.faces, len(mesh.positions))
+    return order, [pattern[along][:, along] for along in order]
+
+
+def _decoded(
+    arrays: dict[str, NDArray], mesh: Mesh, clusters: Clusters, terms: NDArray, step: float
+) -> tuple[NDArray, ...]:
+    """Coefficients of each cap from the ``coded/`` arrays, in the order of ``clusters.members``."""
+    order, neighbours = _surface(mesh, clusters)
+    words = np.split(arrays["coded/words"], np.cumsum(arrays["coded/lengths"].astype(np.int64))[:-1])
+    classes = np.split(arrays["coded/classes"], np.cumsum(terms)[:-1])
+    escapes = np.split(arrays["coded/escapes"], np.cumsum(arrays["coded/escape_counts"].astype(np.int64))[:-1])
+    caps = tuple(codec.CodedCap(*parts) for parts in zip(words, classes, escapes, strict=True))
+    quantised = codec.decode(codec.Coded(caps, arrays["coded/histograms"], arrays["coded/shrink"]), neighbours)
+    coefficients = []
+    for q, along in zip(quantised, order, strict=True):
+        coefficients.append((q[np.argsort(along)] * np.float32(step)).astype(np.float32))
+    return tuple(coefficients)
 
 
 def load(path: str | Path) -> CompressedTransfer:
@@ -177,32 +243,23 @@ def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compr
     clusters = Clusters(arrays["clusters/index"].astype(np.int32), caps)
     terms = arrays["caps/terms"].astype(np.int64)
     starts = np.cumsum(terms)[:-1]
-    count = len(caps)
-
-    def split(name: str, width: int | None) -> list[Any]:
-        if name not in arrays:
-            return [None] * count
-        rows = arrays[name] if width is None else arrays[name].reshape(-1, width)
-        return list(rows) if len(rows) == count and name == "basis/mean" else np.split(rows, starts)
-
+    unknown: list[Any] = [None] * len(caps)
+    orders, radial = unpack_radial(arrays, terms, bandlimit) if "radial/order" in arrays else (unknown, unknown)
+    dense = np.split(arrays["basis/dense"].reshape(-1, size), starts) if "basis/dense" in arrays else unknown
+    mean = list(arrays["basis/mean"].reshape(-1, size)) if "basis/mean" in arrays else unknown
     bases = tuple(
-        LinearBasis(cap.center, bandlimit, int(k), orders, radial, dense, mean)
-        for cap, k, orders, radial, dense, mean in zip(
-            caps,
-            terms,
-            split("basis/orders", None),
-            split("basis/radial", bandlimit + 1),
-            split("basis/dense", size),
-            split("basis/mean", size),
-            strict=True,
-        )
+        LinearBasis(cap.center, bandlimit, int(k), *parts)
+        for cap, k, *parts in zip(caps, terms, orders, radial, dense, mean, strict=True)
     )
-    sizes = np.array([len(members) for members in clusters.members])
-    lengths = sizes * terms
-    if lengths.sum() != arrays["coefficients"].size:
-        raise ValueError("number of coefficients")
-    pieces = np.split(arrays["coefficients"], np.cumsum(lengths)[:-1])
-    coefficients = tuple(piece.reshape(n, k) for piece, n, k in zip(pieces, sizes, terms, strict=True))
+    if manifest["coding"] == "coded":
+        coefficients = _decoded(arrays, mesh, clusters, terms, float(manifest["step"]))
+    else:
+        sizes = np.array([len(members) for members in clusters.members])
+        lengths = sizes * terms
+        if lengths.sum() != arrays["coefficients"].size:
+            raise ValueError("number of coefficients")
+        pieces = np.split(arrays["coefficients"], np.cumsum(lengths)[:-1])
+        coefficients = tuple(piece.reshape(n, k) for piece, n, k in zip(pieces, sizes, terms, strict=True))
     return CompressedTransfer(
         mesh,
         tuple(Part(name, first, number) for name, first, number in manifest["parts"]),
@@ -211,6 +268,8 @@ def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compr
         bases,
         clusters,
         coefficients,
+        manifest["coding"],
+        float(manifest["step"]),
         float(manifest["predicted_error"]),
         tuple(Effect(**effect) for effect in manifest["effects"]),
         int(manifest["samples"]),
@@ -233,7 +292,7 @@ def compress(
     truncate: str | None = None,
     epsilon: float = 0.01,
     clusters: int | Clusters = DEFAULT_CLUSTERS,
-    coding: str = "float32",
+    coding: str | None = None,
 ) -> CompressedTransfer:
     """Cluster, project, truncate and code transfer vectors.
 
@@ -243,19 +302,24 @@ def compress(
     basis : one of adapted, transport, slepian, incident, sh, cpca, direct, none
         ``none`` keeps all (L+1)² spherical harmonics.
     tolerance : float > 0
-        Truncate where the predicted relative error of the transfer vectors is below it. The default, at 0.02.
+        Wanted relative error of the transfer vectors; the default rule, at 0.02. Of coefficients that are ``coded``
+        the rounding step meets it (functions that round to zero cost nothing); otherwise the number of functions does,
+        by prediction.
     terms : int
         Instead: this many functions in each cap.
     truncate : n_g, n_ref or count
         Instead: the Shannon number of each cap, with ``epsilon``.
     clusters : int, or Clusters made before
-    coding : float32 or float16
+    coding : coded, float16 or float32
+        By default ``coded`` with a tolerance, and ``float32`` with a given number of functions.
 
     Raises
     ------
     ValueError
         An unknown name, a number outside its range, or more than one truncation rule.
     """
+    by_number = basis == "none" or terms is not None or truncate is not None
+    coding = coding or ("float32" if by_number else "coded")
     wanted = clusters if isinstance(clusters, int) else 1
     check_options(basis, tolerance, terms, truncate, epsilon, wanted, coding, transfer.bandlimit)
     started = time.perf_counter()
@@ -269,12 +333,27 @@ def compress(
     problem = Problem(transfer.bandlimit, clusters, transfer.normals, transfer.vectors[:, 0], transfer.seed)
     found = candidates(basis, problem)
     sizes = np.array([len(members) for members in clusters.members])
-    counts = _terms(found, clusters, transfer.bandlimit, sizes, tolerance, terms, truncate, epsilon)
+    by_rounding = coding == "coded" and not by_number
+    if by_rounding:
+        counts = np.array([candidate.energies.size for candidate in found])
+    else:
+        counts = _terms(found, clusters, transfer.bandlimit, sizes, tolerance, terms, truncate, epsilon)
     bases = tuple(candidate.cut(int(k)) for candidate, k in zip(found, counts, strict=True))
+    if coding != "float32":
+        bases = tuple(b.halved() for b in bases)
     coefficients = tuple(
-        b.project(problem.vectors[members]).astype(CODINGS[coding])
+        b.project(problem.vectors[members]).astype(np.float16 if coding == "float16" else np.float32)
         for b, members in zip(bases, clusters.members, strict=True)
     )
+    predicted, step = truncation.predicted_error(found, counts, sizes), 0.0
+    if coding == "coded":
+        asked = DEFAULT_TOLERANCE if tolerance is None else tolerance
+        rounding = max(math.sqrt(_ROUNDING_SHARE) * predicted, _FINEST_ROUNDING)
+        if by_rounding:
+            rounding = math.sqrt(max(asked**2 - predicted**2, 0.01 * asked**2))
+        step, rounding = _rounding_step(problem, clusters, bases, rounding, transfer.seed)
+        predicted = math.hypot(predicted, rounding)
+        bases, coefficients = _rounded(bases, coefficients, step)
     seconds = {**transfer.seconds, "compress": time.perf_counter() - started}
     return CompressedTransfer(
         transfer.mesh,
@@ -284,7 +363,9 @@ def compress(
         bases,
         clusters,
         coefficients,
-        truncation.predicted_error(found, counts, sizes),
+        coding,
+        step,
+        predicted,
         transfer.effects,
         transfer.samples,
         transfer.seed,
@@ -292,6 +373,36 @@ def compress(
         seconds,
         transfer.source,
     )
+
+
+def _rounding_step(
+    problem: Problem, clusters: Clusters, bases: tuple[LinearBasis, ...], error: float, seed: int
+) -> tuple[float, float]:
+    """The step whose rounding makes a relative error of ``error``, from a sample of the vertices, and that error."""
+    rng = np.random.default_rng(seed)
+    chosen = np.zeros(len(problem.vectors), dtype=bool)
+    chosen[rng.permutation(len(problem.vectors))[:_STEP_SAMPLE]] = True
+    energy = float(np.sum(problem.vectors[chosen].astype(np.float64) ** 2))
+    if energy == 0.0:
+        return 1.0, 0.0  # nothing but zeros: any step does
+    sampled = [
+        b.project(problem.vectors[members[chosen[members]]]) for b, members in zip(bases, clusters.members, strict=True)
+    ]
+    return codec.step_for(sampled, error * error * energy), error
+
+
+def _rounded(
+    bases: tuple[LinearBasis, ...], coefficients: tuple[NDArray, ...], step: float
+) -> tuple[tuple[LinearBasis, ...], tuple[NDArray, ...]]:
+    """Coefficients as they are decoded, without the trailing functions of each cap that round to zero everywhere."""
+    kept, values = [], []
+    for basis, exact in zip(bases, coefficients, strict=True):
+        quantised = codec.quantise(exact, step)
+        used = np.flatnonzero(quantised.any(axis=0))
+        count = int(used[-1]) + 1 if used.size else min(1, basis.count)
+        kept.append(basis.first(count))
+        values.append((quantised[:, :count] * np.float32(step)).astype(np.float32))
+    return tuple(kept), tuple(values)
 
 
 def check_options(

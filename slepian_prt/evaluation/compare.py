@@ -29,6 +29,10 @@ from slepian_prt.transport.transfer import Transfer, precompute
 DEFAULT_BASES = ("adapted", "transport", "slepian", "incident", "sh", "cpca")
 DEFAULT_TERMS = (4, 9, 16, 25, 36)
 
+# Bases that are also shown coded, at these tolerances.
+_CODED_BASES = ("adapted", "cpca")
+_CODED_TOLERANCES = (0.2, 0.1, 0.05, 0.02)
+
 Status = Callable[[str], None]
 
 
@@ -37,6 +41,7 @@ class Method:
     """One basis with one number of terms; the fields of ``methods`` in results.json."""
 
     basis: str
+    coding: str
     terms: float
     bytes_per_vertex: float
     transfer_error: float
@@ -182,13 +187,18 @@ def compare(
     for basis in bases:
         for k in wanted:
             status(f"{basis}, {k} terms")
-            packed = compress(transfer, basis, terms=k, clusters=grouped)
+            packed = compress(transfer, basis, terms=k, clusters=grouped, coding="float16")
             methods.append(_measure(packed, transfer, lighting, full, views, camera))
             if k == shown:
                 for view, light in zip(views, lighting, strict=True):
                     view.compressed[basis] = camera.picture(relight(packed, light))
+        if basis in _CODED_BASES:
+            for tolerance in _CODED_TOLERANCES:
+                status(f"{basis}, coded to {tolerance:g}")
+                packed = compress(transfer, basis, tolerance=tolerance, clusters=grouped)
+                methods.append(_measure(packed, transfer, lighting, full, views, camera))
     status("full SH")
-    none = _measure(compress(transfer, "none"), transfer, lighting, full, views, camera)
+    none = _measure(compress(transfer, "none", coding="float16"), transfer, lighting, full, views, camera)
     methods.append(none)
     angles = [cap.half_angle for cap in grouped.caps]
     return Comparison(
@@ -224,6 +234,7 @@ def _measure(
         image_error[name] = relative_rms(camera.picture(radiance).radiance, view.reference.picture.radiance)
     return Method(
         packed.basis,
+        packed.coding,
         packed.terms,
         packed.bytes_per_vertex,
         relative_rms(packed.reconstruct(), transfer.vectors[:, 0]),
@@ -284,6 +295,6 @@ def _ladder(
                 method.compress_seconds,
             )
             for method in methods
-            if method.terms == shown and method.basis != "none"
+            if method.terms == shown and method.basis != "none" and method.coding != "coded"
         ]
     return rungs

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.archive import atomic_output
 from slepian_prt.errors import UserError
-from slepian_prt.evaluation.compare import Comparison, View
+from slepian_prt.evaluation.compare import Comparison, Method, View
 from slepian_prt.evaluation.errors import error_map
 from slepian_prt.relighting.picture import Picture, exposure, to_srgb
 
@@ -200,11 +200,13 @@ def _finish(figure: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _curves(comparison: Comparison) -> dict[str, list[Any]]:
-    curves: dict[str, list[Any]] = {}
+def _curves(comparison: Comparison, *, coded: bool = False) -> dict[tuple[str, bool], list[Method]]:
+    """Methods by basis, those cut to K functions and, if wanted, apart from them those that are coded."""
+    curves: dict[tuple[str, bool], list[Method]] = {}
     for method in comparison.methods:
-        if method.basis != "none":
-            curves.setdefault(method.basis, []).append(method)
+        is_coded = method.coding == "coded"
+        if method.basis != "none" and (coded or not is_coded):
+            curves.setdefault((method.basis, is_coded), []).append(method)
     return curves
 
 
@@ -213,11 +215,12 @@ def _error_plot(comparison: Comparison, abscissa: str) -> bytes:
     figure, axes = _figure()
     axis = axes[0, 0]
     by_terms = abscissa == "terms"
-    for basis, methods in _curves(comparison).items():
+    for (basis, coded), methods in _curves(comparison, coded=not by_terms).items():
         colour, marker, dash = STYLES[basis]
         x = [getattr(m, abscissa) for m in methods]
         y = [m.transfer_error if by_terms else float(np.mean(list(m.relit_error.values()))) for m in methods]
-        axis.plot(x, y, dash, color=colour, marker=marker, label=basis, linewidth=1.8, markersize=6)
+        label, face = (f"{basis}, coded", "none") if coded else (basis, colour)
+        axis.plot(x, y, dash, color=colour, marker=marker, mfc=face, label=label, linewidth=1.8, markersize=6)
         if by_terms and basis == "adapted":
             predicted = [m.predicted_error for m in methods]
             axis.plot(x, predicted, "+", color="black", markersize=11, label="predicted for adapted", zorder=5)
@@ -241,7 +244,7 @@ def _relit_plot(comparison: Comparison) -> bytes:
     names = [view.environment.name for view in comparison.views]
     figure, axes = _figure(len(names))
     for axis, name in zip(axes[0], names, strict=True):
-        for basis, methods in _curves(comparison).items():
+        for (basis, _), methods in _curves(comparison).items():
             colour, marker, dash = STYLES[basis]
             axis.plot(
                 [m.terms for m in methods],
@@ -317,7 +320,8 @@ def _seconds(value: float) -> str:
 
 def _findings(comparison: Comparison) -> list[str]:
     """The few sentences that a reader takes away, each with its numbers."""
-    at = {m.basis: m for m in comparison.methods if m.terms == comparison.shown_terms}
+    at = {m.basis: m for m in comparison.methods if m.terms == comparison.shown_terms and m.coding != "coded"}
+    coded = [m for m in comparison.methods if m.basis == "adapted" and m.coding == "coded"]
     full = (comparison.transfer.bandlimit + 1) ** 2
     found = []
 
@@ -338,6 +342,15 @@ def _findings(comparison: Comparison) -> list[str]:
         found.append(
             f"The error of the transfer vectors was predicted as {_percent(at['adapted'].predicted_error)} and "
             f"measured as {_percent(at['adapted'].transfer_error)}."
+        )
+    if coded:
+        best = coded[len(coded) // 2]
+        whole = comparison.methods[-1]
+        found.append(
+            f"Rounded, predicted from neighbours and entropy-coded, the adapted basis takes "
+            f"{best.bytes_per_vertex:.1f} bytes per vertex at a relit error of "
+            f"{_percent(float(np.mean(list(best.relit_error.values()))))}; full SH in float16 takes "
+            f"{whole.bytes_per_vertex:.0f}."
         )
     for view in comparison.views:
         name = view.environment.name

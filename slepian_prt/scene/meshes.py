@@ -132,6 +132,23 @@ def make_mesh(
     return Mesh(name, p, unit, f.astype(np.int32), colour, tuple(notes))
 
 
+def morton(points: NDArray) -> NDArray[np.uint64]:
+    """Position of each point, (n, 3), on a Z-order curve of 2²¹ cells a side."""
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.uint64)
+    low, extent = points.min(axis=0), np.ptp(points, axis=0).max()
+    cells = ((points - low) / max(float(extent), 1e-300) * (2**21 - 1)).astype(np.uint64)
+    for shift, mask in (
+        (32, 0x1F00000000FFFF),
+        (16, 0x1F0000FF0000FF),
+        (8, 0x100F00F00F00F00F),
+        (4, 0x10C30C30C30C30C3),
+        (2, 0x1249249249249249),
+    ):
+        cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
+    return cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2))
+
+
 def _without_degenerate(p: NDArray, f: NDArray, notes: list[str]) -> NDArray:
     corners = p[f]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

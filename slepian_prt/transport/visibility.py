@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from slepian_prt.scene.meshes import morton
 from slepian_prt.scene.scenes import RAY_OFFSET, Scene, mitsuba_scene
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
@@ -98,7 +99,7 @@ def shadowed_transfer(
     tracer = _Tracer(mi, scene, bandlimit, samples, seed)
     block = max(1, _RAYS_PER_BLOCK // samples)
     # Neighbours in space share the tracer's caches.
-    todo = todo[np.argsort(_morton(scene.traced_positions[todo]), kind="stable")]
+    todo = todo[np.argsort(morton(scene.traced_positions[todo]), kind="stable")]
     for begin in range(0, todo.size, block):
         chosen = todo[begin : begin + block]
         vectors[chosen] -= tracer.blocked(chosen)
@@ -159,18 +160,3 @@ class _Tracer:
             + dr.gather(mi.Vector3f, n, vertex) * local.z
         )
         return np.array(self.geometry.ray_test(mi.Ray3f(dr.gather(mi.Point3f, origin, vertex), direction)))
-
-
-def _morton(points: NDArray) -> NDArray[np.uint64]:
-    """Position of each point, (n, 3), on a Z-order curve of 2²¹ cells a side."""
-    low, extent = points.min(axis=0), np.ptp(points, axis=0).max()
-    cells = ((points - low) / max(float(extent), 1e-300) * (2**21 - 1)).astype(np.uint64)
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
-    return cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2))

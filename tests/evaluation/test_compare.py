@@ -13,6 +13,7 @@ from tests.conftest import bumpy
 
 METHOD_FIELDS = {
     "basis",
+    "coding",
     "terms",
     "bytes_per_vertex",
     "transfer_error",
@@ -49,7 +50,7 @@ def test_results_have_the_stable_names(comparison):
     for method in results["methods"]:
         assert set(method) == METHOD_FIELDS
         assert set(method["relit_error"]) == set(method["image_error"]) == {"first", "second"}
-        assert method["terms"] in (4, 9, 25)  # 40 is more than the bandlimit has
+        assert method["terms"] in (4, 9, 25) or method["coding"] == "coded"  # 40 is more than the bandlimit has
     assert {rung["environment"] for rung in results["ladder"]} == {"first", "second"}
     assert all({"stage", "error", "seconds"} <= set(rung) for rung in results["ladder"])
     assert all(0 < r["noise"] < 0.2 for r in results["references"].values())
@@ -57,8 +58,8 @@ def test_results_have_the_stable_names(comparison):
 
 def test_full_sh_is_the_end_of_every_curve(comparison):
     full = next(m for m in comparison.methods if m.basis == "none")
-    assert full.transfer_error <= 1e-6
-    assert max(full.relit_error.values()) <= 1e-5
+    assert full.transfer_error <= 5e-4  # float16
+    assert max(full.relit_error.values()) <= 5e-4
     for method in comparison.methods:
         assert method.transfer_error >= full.transfer_error
 
@@ -75,6 +76,7 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     for basis in ("adapted", "transport", "slepian", "incident", "sh", "cpca"):
         assert f"{basis}, 9 functions" in html
         assert (tmp_path / "out" / f"first_{basis}_error.png").is_file()
+    assert "entropy-coded" in html
     assert json.loads((tmp_path / "out" / "results.json").read_text())["vertices"] == 642
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.endswith(".part")]
 
