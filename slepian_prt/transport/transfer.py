@@ -22,6 +22,9 @@ log = logging.getLogger(__name__)
 LARGEST_BANDLIMIT = 50
 LARGEST_SAMPLES = 1 << 20
 
+# Blocked part of the light beyond which a mesh is more likely inside out than meant.
+_NEARLY_ALL = 0.97
+
 
 @dataclass(frozen=True)
 class Transfer:
@@ -105,6 +108,12 @@ def precompute(
         loaded = time.perf_counter()
         effects = plan_effects(mi, opened, seed)
         on_plan(effects)
+        if effects[0].contribution is not None and effects[0].contribution > _NEARLY_ALL:
+            log.info(
+                "%s: %.0f %% of the light is blocked; if this is no closed room, its faces point inward: flip them",
+                opened.path,
+                100.0 * effects[0].contribution,
+            )
         planned = time.perf_counter()
         total = len(opened.mesh.positions)
         vectors, rays = shadowed_transfer(mi, opened, bandlimit, int(samples), seed, lambda done: advance(done, total))

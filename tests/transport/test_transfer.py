@@ -42,6 +42,16 @@ def test_closed_room_is_exactly_black():
     assert np.abs(transfer.vectors).max() <= 2e-3
 
 
+def test_a_mesh_inside_out_is_remarked_on(caplog):
+    with caplog.at_level("INFO"):
+        precompute(inside_out(bumpy(3)), bandlimit=1, samples=64)
+    assert "faces point inward" in caplog.text
+    caplog.clear()
+    with caplog.at_level("INFO"):
+        precompute(bumpy(3), bandlimit=1, samples=64)
+    assert not caplog.text
+
+
 def test_hemispherical_bowl_has_the_known_sky():
     """At the bottom of a hemispherical bowl with rim at 90°, all of the sky is seen; on its wall at polar angle α the
     rim blocks, and the cosine-weighted open part is (1 + cos α)/2 for the vertex at angle α from the bottom."""
