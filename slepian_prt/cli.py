@@ -154,8 +154,8 @@ def precompute(
     from slepian_prt.transport.transfer import precompute as trace
 
     check_options(basis, tolerance, terms, truncate, epsilon, clusters, coding or "coded", bandlimit)
-    archive.check_writable(output)
-    with progress("transport", "vertices") as advance:
+    archive.check_writable(output, scene)
+    with progress("transport", "vertices") as (advance, _):
         transfer = trace(scene, bandlimit, samples, seed=seed, on_plan=print_plan, advance=advance)
     packed = compress(
         transfer,
@@ -227,6 +227,7 @@ def relight(file: str, environment: str, rotate: float, clamp_negative: bool, wi
     from slepian_prt.compression import archive
     from slepian_prt.compression.compressed import load
     from slepian_prt.relighting import outputs, picture
+    from slepian_prt.relighting.relight import negative_part
     from slepian_prt.relighting.relight import relight as apply
     from slepian_prt.scene.environments import project_environment, read_environment
 
@@ -234,15 +235,15 @@ def relight(file: str, environment: str, rotate: float, clamp_negative: bool, wi
     if suffix not in outputs.SUFFIXES:
         raise UserError(f"{output}: unknown kind of output '{suffix}'; name one of {', '.join(outputs.SUFFIXES)}")
     check_width(width)
-    archive.check_writable(output)
+    archive.check_writable(output, file, environment)
     packed = load(file)
     light = read_environment(environment, clamp_negative=clamp_negative)
     if light.clamped:
         note(f"{environment}: {light.clamped} negative texels set to zero")
     radiance = apply(packed, project_environment(light, packed.bandlimit, rotate=rotate))
-    negative = float((radiance.min(axis=1) < 0.0).mean())
+    negative = negative_part(radiance)
     if negative > 0.0:
-        note(f"{negative:.2%} of the vertices are slightly negative (ringing of small bright lights at this bandlimit)")
+        note(f"{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit)")
     if suffix == ".npz":
         outputs.write_radiance(output, packed.mesh, radiance)
     elif suffix == ".ply":
@@ -308,7 +309,7 @@ def compare(
     for path, light in zip(environment, maps, strict=True):
         if light.clamped:
             note(f"{path}: {light.clamped} negative texels set to zero")
-    with status() as tell, progress("transport", "vertices") as advance:
+    with progress("transport", "vertices") as (advance, tell):
         comparison = run(
             scene,
             maps,
@@ -324,7 +325,8 @@ def compare(
             advance=advance,
         )
     page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]))
-    click.echo(f"{page}: {len(comparison.methods)} methods, {len(maps)} environments, {comparison.seconds:.0f} s")
+    lights = f"{len(maps)} environment{'s' if len(maps) > 1 else ''}"
+    click.echo(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
 
 
 # --- Terminal --------------------------------------------------------------------------------------------------------
@@ -338,8 +340,11 @@ class _Rate(ProgressColumn):
 
 
 @contextmanager
-def progress(name: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with rate and time left on a terminal; nothing in a pipe. Yields advance(done now, total)."""
+def progress(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], None], Callable[[str], None]]]:
+    """A bar with rate and time left on a terminal; nothing in a pipe.
+
+    Yields advance(done now, total), and tell(text), which names what is done before or after on a line of its own.
+    """
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -359,19 +364,13 @@ def progress(name: str, unit: str) -> Iterator[Callable[[int, int], None]]:
                 task = bar.add_task(name, total=total)
             bar.advance(task, done)
 
-        yield advance
+        def tell(what: str) -> None:
+            if console.is_terminal:
+                if task is not None:
+                    bar.update(task, visible=False)
+                console.print(Text(what, style="dim"))
 
-
-@contextmanager
-def status() -> Iterator[Callable[[str], None]]:
-    """Names of stages as they begin, on a terminal; nothing in a pipe."""
-    console = Console(stderr=True)
-
-    def tell(what: str) -> None:
-        if console.is_terminal:
-            console.print(f"[dim]{what}[/dim]")
-
-    yield tell
+        yield advance, tell
 
 
 def print_plan(effects: Sequence[Any]) -> None:
@@ -420,6 +419,9 @@ def _run(arguments: Sequence[str] | None) -> int:
         return outcome if isinstance(outcome, int) else 0
     except UserError as error:
         return _fail(2, str(error))
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return 0
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "slepian-prt"
         return _fail(2, f"{error.format_message().rstrip('.')}; see {command} --help")

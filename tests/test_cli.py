@@ -18,7 +18,7 @@ from slepian_prt.cli import _run
 from slepian_prt.scene.variants import bitmap_module
 from tests.conftest import bumpy
 
-COMMAND = [sys.executable, "-m", "slepian_prt.cli"]
+COMMAND = [sys.executable, "-m", "slepian_prt"]
 
 
 @pytest.fixture(scope="module")

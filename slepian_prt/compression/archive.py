@@ -52,6 +52,8 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
         Missing, foreign, cut short, damaged, or from a newer version.
     """
     path = Path(path)
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a transfer file")
     if not path.is_file():
         raise UserError(f"{path}: no such file; slepian-prt precompute makes one")
     try:
@@ -121,9 +123,14 @@ def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
         partial.unlink(missing_ok=True)
 
 
-def check_writable(path: str | Path) -> None:
-    """Raise UserError now if `atomic_output` could not begin, rather than after the heavy work."""
+def check_writable(path: str | Path, *inputs: str | Path) -> None:
+    """Raise UserError now if `atomic_output` could not begin or would replace an input, not after the heavy work."""
+    if not str(path):
+        raise UserError("the name of the output is empty; name a file")
     path = Path(path)
+    for source in inputs:
+        if path.exists() and Path(source).exists() and path.samefile(source):
+            raise UserError(f"{path}: is the input; choose another name for the output")
     folder = path.parent
     if path.is_dir():
         raise UserError(f"{path}: is a folder; name a file")

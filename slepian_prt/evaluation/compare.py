@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import platform
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from slepian_prt.errors import UserError, check_terms
 from slepian_prt.evaluation.errors import relative_rms
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
 from slepian_prt.relighting.picture import Camera, Picture, trace_camera
-from slepian_prt.relighting.relight import relight
+from slepian_prt.relighting.relight import negative_part, relight
 from slepian_prt.scene.environments import Environment, project_environment
 from slepian_prt.scene.scenes import open_scene
 from slepian_prt.sphere.harmonics import num_coefficients
@@ -161,6 +162,8 @@ def compare(
     """
     if not environments:
         raise UserError("environments must hold at least one, not 0")
+    if not (math.isfinite(noise) and noise > 0.0):
+        raise UserError(f"noise must be a positive number, not {noise!r}")
     size = num_coefficients(bandlimit)
     for k in terms:
         check_terms(k, 1 << 20)
@@ -178,6 +181,7 @@ def compare(
         for environment, radiance in zip(environments, full, strict=True):
             status(f"path-traced reference under {environment.name}")
             reference = render_reference(mi, opened, environment, width=width, noise=noise)
+            reference = replace(reference, picture=camera.masked(reference.picture))
             status(f"reference at the vertices under {environment.name}")
             vertices = vertex_reference(mi, opened, environment, noise=noise)
             interpolated = camera.picture(vertices.radiance)
@@ -209,7 +213,7 @@ def compare(
         tuple(_ladder(transfer, views, full, methods, shown)),
         tuple(views),
         shown,
-        {e.name: float(np.mean(radiance.min(axis=1) < 0.0)) for e, radiance in zip(environments, full, strict=True)},
+        {e.name: negative_part(radiance) for e, radiance in zip(environments, full, strict=True)},
         time.perf_counter() - started,
     )
 

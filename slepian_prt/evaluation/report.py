@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import math
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from slepian_prt.compression.archive import atomic_output
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import Comparison, Method, View
 from slepian_prt.evaluation.errors import error_map
@@ -51,6 +51,8 @@ _ERROR_SCALE = 0.25  # the end of the colour scale of error maps, relative to th
 
 def check_folder(folder: str | Path) -> None:
     """Raise UserError now if the report could not be written there, rather than after the heavy work."""
+    if not str(folder):
+        raise UserError("the name of the output folder is empty; name a folder")
     folder = Path(folder)
     existing = folder
     while not existing.exists() and existing != existing.parent:
@@ -80,24 +82,34 @@ def write_report(comparison: Comparison, folder: str | Path, command: str) -> Pa
     }
     pictures = [_view_pictures(comparison, view) for view in comparison.views]
     html = _render(comparison, figures, pictures, command)
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, content in figures.items():
-        _write(folder / f"{name}.png", content)
+    files = {f"{name}.png": content for name, content in figures.items()}
     for view in pictures:
         for panel in view["panels"]:
             stem = f"{view['environment']}_{panel['file']}"
-            _write(folder / f"{stem}.png", panel["png"])
+            files[f"{stem}.png"] = panel["png"]
             if "error_png" in panel:
                 second = panel.get("error_file", f"{panel['file']}_error")
-                _write(folder / f"{view['environment']}_{second}.png", panel["error_png"])
-    _write(folder / "results.json", (json.dumps(comparison.results(), indent=1) + "\n").encode())
-    _write(folder / "report.html", html.encode())
+                files[f"{view['environment']}_{second}.png"] = panel["error_png"]
+    files["results.json"] = (json.dumps(comparison.results(), indent=1) + "\n").encode()
+    files["report.html"] = html.encode()
+    _write_all(folder, files)
     return folder / "report.html"
 
 
-def _write(path: Path, content: bytes) -> None:
-    with atomic_output(path) as file:
-        file.write(content)
+def _write_all(folder: Path, files: dict[str, bytes]) -> None:
+    """All files or, if one cannot be written, none: they are put into place when all are on the disk."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as partial:
+            for name, content in files.items():
+                (Path(partial) / name).write_bytes(content)
+            folder.mkdir(exist_ok=True)
+            for name in files:
+                (Path(partial) / name).replace(folder / name)
+    except OSError as error:
+        raise UserError(
+            f"{folder}: cannot be written ({error.strerror or error}); choose another folder for the output"
+        ) from None
 
 
 # --- Pictures --------------------------------------------------------------------------------------------------------
@@ -224,7 +236,7 @@ def _error_plot(comparison: Comparison, abscissa: str) -> bytes:
         if by_terms and basis == "adapted":
             predicted = [m.predicted_error for m in methods]
             axis.plot(x, predicted, "+", color="black", markersize=11, label="predicted for adapted", zorder=5)
-    axis.set_yscale("log")
+    _logarithmic(axis)
     if by_terms:
         axis.set_xlabel("functions per vertex, K")
         axis.set_ylabel("relative error of the transfer vectors")
@@ -256,7 +268,7 @@ def _relit_plot(comparison: Comparison) -> bytes:
                 linewidth=1.8,
                 markersize=6,
             )
-        axis.set_yscale("log")
+        _logarithmic(axis)
         axis.set_title(name)
         axis.set_xlabel("functions per vertex, K")
         axis.set_ylabel("relative error of relit radiance")
@@ -264,6 +276,12 @@ def _relit_plot(comparison: Comparison) -> bytes:
     figure.tight_layout()
     _legend(axes[0, -1])
     return _finish(figure)
+
+
+def _logarithmic(axis: Any) -> None:
+    """A logarithmic ordinate, unless all errors are zero."""
+    if any(np.any(np.asarray(curve.get_ydata()) > 0.0) for curve in axis.get_lines()):
+        axis.set_yscale("log")
 
 
 def _legend(axis: Any) -> None:
@@ -276,7 +294,7 @@ def _decorate(axis: Any) -> None:
     formatter = matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %")
     axis.yaxis.set_major_formatter(formatter)
     low, high = axis.get_ylim()
-    if high / max(low, 1e-300) < 300.0:  # few decades: label between them too
+    if axis.get_yscale() == "log" and high / max(low, 1e-300) < 300.0:  # few decades: label between them too
         axis.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 

@@ -34,12 +34,22 @@ class Camera:
     Attributes
     ----------
     weights : sparse (H W, V)
-        Filtered barycentric weights of all camera rays.
+        Filtered barycentric weights of all camera rays that meet the front of a receiver.
     alpha : (H, W)
+        Part of each pixel that shows the front of a receiver.
+    behind : (H, W)
+        Part that shows something else of the scene: the back of a surface, on which transfer knows no light, or a
+        shape that only casts shadows.
     """
 
     weights: csr_array
     alpha: NDArray[np.float32]
+    behind: NDArray[np.float32]
+
+    def masked(self, picture: Picture) -> Picture:
+        """Another renderer's picture of the same view, reduced to what `picture` shows."""
+        share = self.alpha / np.maximum(self.alpha + self.behind, 1e-6)
+        return Picture((picture.radiance * share[..., None]).astype(np.float32), self.alpha)
 
     def picture(self, radiance: NDArray) -> Picture:
         """Draw radiance per vertex, (V, 3), against an empty background."""
@@ -67,7 +77,7 @@ def trace_camera(mi: Any, scene: Scene, width: int = 512, strata: int = 5) -> Ca
     x, y = (pixel % columns).astype(np.float32), (pixel // columns).astype(np.float32)
     weights = csr_array((pixel.size, vertices), dtype=np.float32)
     filter_sum = np.zeros(pixel.size)
-    covered = np.zeros(pixel.size)
+    covered, behind = np.zeros(pixel.size), np.zeros(pixel.size)
     for stratum in range(strata * strata):
         jitter = (rng.random((2, pixel.size)) + [[stratum % strata], [stratum // strata]]) / strata
         dx, dy = ((2.0 * jitter - 1.0) * radius).astype(np.float32)
@@ -75,9 +85,13 @@ def trace_camera(mi: Any, scene: Scene, width: int = 512, strata: int = 5) -> Ca
         position = mi.Point2f((x + 0.5 + dx) / columns, (y + 0.5 + dy) / rows)
         ray, _ = view.sample_ray(0.0, 0.5, position, mi.Point2f(0.5, 0.5))
         hit = geometry.ray_intersect_preliminary(ray)
+        # A ray that slips through an edge of a closed mesh meets its back too: without this test, bright speckles.
+        front = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit.is_valid())
+        facing = hit.is_valid() & (dr.dot(front.n, ray.d) < 0.0)
         filter_sum += w
+        behind += w * np.array(hit.is_valid())
         for shape, first in first_vertex.items():
-            on_shape = np.array(hit.is_valid() & (hit.shape == mi.ShapePtr(shape)))
+            on_shape = np.array(facing & (hit.shape == mi.ShapePtr(shape)))
             if not on_shape.any():
                 continue
             corner = np.array(shape.face_indices(hit.prim_index, mi.Bool(on_shape)))[:, on_shape] + first
@@ -91,7 +105,8 @@ def trace_camera(mi: Any, scene: Scene, width: int = 512, strata: int = 5) -> Ca
     dr.flush_malloc_cache()
     scale = 1.0 / np.maximum(filter_sum, 1e-12)
     weights.data *= np.repeat(scale, np.diff(weights.indptr)).astype(np.float32)
-    return Camera(weights, (covered * scale).astype(np.float32).reshape(rows, columns))
+    shown, other = ((part * scale).astype(np.float32).reshape(rows, columns) for part in (covered, behind - covered))
+    return Camera(weights, shown, np.maximum(other, 0.0))
 
 
 def split_alpha(pixels: NDArray) -> Picture:

@@ -36,3 +36,8 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
     if isinstance(transfer, CompressedTransfer):
         return transfer.radiance(light)
     return (transfer.vectors[:, 0] @ light.T.astype(np.float32)) * transfer.mesh.albedo
+
+
+def negative_part(radiance: NDArray) -> float:
+    """Part of the vertices with a channel below zero by more than sampling noise, 1 % of the largest radiance."""
+    return float(np.mean(radiance.min(axis=1) < -0.01 * float(radiance.max(initial=0.0))))

@@ -74,6 +74,8 @@ def read_environment(path: str | Path, *, clamp_negative: bool = False) -> Envir
         negative texels that matter.
     """
     path = Path(path)
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name an environment map (.exr, .hdr or .png)")
     if not path.is_file():
         raise UserError(f"{path}: no such file; name an environment map (.exr, .hdr or .png)")
     mi = bitmap_module()

@@ -6,8 +6,10 @@ import importlib.util
 import json
 import logging
 import struct
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -21,6 +23,9 @@ MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb")
 
 # Faces thinner than this (area relative to the squared box diagonal) have no usable normal in float64.
 _DEGENERATE = 1e-20
+
+# Part of the faces from which on flipped neighbours are worth a remark; real scans have a few non-manifold edges.
+_TWISTED = 0.01
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,9 @@ def make_mesh(
     if f.size == 0:
         raise UserError(f"{origin}: every face has zero area; export the mesh again")
     unit = _normals(p, f, normals, notes)
+    twisted = _twice_in_one_direction(f)
+    if twisted > _TWISTED * len(f):
+        notes.append(f"{twisted} edges join faces of opposite orientation; make the winding consistent")
     colour = np.ascontiguousarray(np.broadcast_to(np.asarray(albedo, dtype=np.float32), (len(p), 3)))
     for note in notes:
         log.info("%s: %s", origin, note)
@@ -147,6 +155,13 @@ def morton(points: NDArray) -> NDArray[np.uint64]:
     ):
         cells = (cells | (cells << np.uint64(shift))) & np.uint64(mask)
     return cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2))
+
+
+def _twice_in_one_direction(f: NDArray) -> int:
+    """Edges that two faces run along in the same direction, which neighbours of one orientation never do."""
+    directed = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]).astype(np.int64)
+    keys = directed[:, 0] * (f.max() + 1) + directed[:, 1]
+    return int(keys.size - np.unique(keys).size)
 
 
 def _without_degenerate(p: NDArray, f: NDArray, notes: list[str]) -> NDArray:
@@ -210,14 +225,24 @@ def _angle_weighted_normals(p: NDArray, f: NDArray) -> NDArray[np.float64]:
 
 def _load(path: Path) -> trimesh.Trimesh:
     try:
-        loaded = trimesh.load(path, process=False, maintain_order=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about colours and textures, which are not used
+            # Not `maintain_order`: it would give each position of an OBJ file one of its several normals.
+            loaded = trimesh.load(path, process=False)
     except Exception as error:  # the loaders raise whatever their parsers do
         reason = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, ImportError):
+            reason = "its text cannot be decoded"
         raise UserError(f"{path}: cannot be read as a mesh ({reason}); export it again") from None
     if isinstance(loaded, trimesh.Scene):
         if not loaded.geometry:
             raise UserError(f"{path}: holds no mesh that can be read; check that it is a {path.suffix} file")
+        coloured = any(_has_colours(part) for part in loaded.geometry.values())
         loaded = loaded.to_mesh()
+    else:
+        coloured = _has_colours(loaded)
+    if coloured:
+        log.info("%s: its colours and textures are not read; the albedo is 1 (a Mitsuba .xml can set it)", path)
     if isinstance(loaded, trimesh.PointCloud):
         raise UserError(f"{path}: the mesh has no faces (a point cloud?); light needs surfaces, so mesh it first")
     if not isinstance(loaded, trimesh.Trimesh):
@@ -228,6 +253,21 @@ def _load(path: Path) -> trimesh.Trimesh:
         loaded.merge_vertices()
         log.info("%s: %d corners of triangles merged to %d vertices", path, before, len(loaded.vertices))
     return loaded
+
+
+def _has_colours(mesh: Any) -> bool:
+    """Whether a part carries vertex colours, a texture, or a material with a colour of its own."""
+    visual = getattr(mesh, "visual", None)
+    if visual is None or not getattr(visual, "defined", False):
+        return False
+    material = getattr(visual, "material", None)
+    if material is None:
+        return True
+    base = getattr(material, "baseColorFactor", None)
+    texture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    diffuse = getattr(material, "diffuse", None)
+    tinted = [c for c in (base, diffuse) if c is not None and len(np.unique(np.asarray(c)[:3])) > 1]
+    return texture is not None or bool(tinted)
 
 
 def _refuse_undecodable_glb(path: Path) -> None:

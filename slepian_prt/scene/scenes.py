@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,11 @@ from slepian_prt.scene.variants import mitsuba
 # Where rays start above the surface, relative to the diagonal of the bounding box. From the vertex itself 41 % of the
 # rays of a convex icosphere are falsely blocked; from here none.
 RAY_OFFSET = 1e-4
+
+# A shape of fewer vertices hardly shows a shadow.
+_COARSE = 100
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -231,9 +237,9 @@ def _read_xml(mi: Any, path: Path) -> Scene:
         listed = "; ".join(notes) or "it has no shapes"
         raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a mesh with a diffuse material")
     notes += [
-        f"light of emitter '{type(emitter).__name__}' (only distant light is)"
+        f"light of emitter '{emitter.id() or emitter.class_name()}'"
         for emitter in loaded.emitters()
-        if not emitter.is_environment() and emitter.shape() is None
+        if not emitter.is_environment() and not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface)
     ]
     parts, first = [], 0
     for mesh in meshes:
@@ -268,15 +274,21 @@ def _receiver(mi: Any, shape: Any, name: str, origin: str) -> tuple[Mesh | None,
     bsdf = shape.bsdf()
     if bsdf is None or not mi.has_flag(bsdf.flags(), mi.BSDFFlags.DiffuseReflection):
         return None, "its material has no diffuse part"
-    parameters = mi.traverse(shape)
-    positions = np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3)
-    faces = np.array(parameters["faces"], dtype=np.int64).reshape(-1, 3)
-    normals = None
-    if shape.has_vertex_normals():
-        normals = np.array(parameters["vertex_normals"], dtype=np.float64).reshape(-1, 3)
-    uv = None
-    if shape.has_vertex_texcoords():
-        uv = np.array(parameters["vertex_texcoords"], dtype=np.float32).reshape(-1, 2)
+    import drjit as dr
+
+    # Not by `mi.traverse`: a rectangle is a mesh too, but does not expose its vertices there.
+    vertex, face = dr.arange(mi.UInt32, shape.vertex_count()), dr.arange(mi.UInt32, shape.face_count())
+    positions = np.array(shape.vertex_position(vertex), dtype=np.float64).T
+    faces = np.array(shape.face_indices(face), dtype=np.int64).T
+    normals = np.array(shape.vertex_normal(vertex), dtype=np.float64).T if shape.has_vertex_normals() else None
+    uv = np.array(shape.vertex_texcoord(vertex), dtype=np.float32).T if shape.has_vertex_texcoords() else None
+    if len(positions) < _COARSE:
+        log.info(
+            "%s: shape '%s' has only %d vertices; light is computed at vertices, so subdivide it to see shadows on it",
+            origin,
+            name,
+            len(positions),
+        )
     albedo = _diffuse_reflectance(mi, bsdf, len(positions), uv)
     return make_mesh(
         positions, faces, normals=normals, albedo=albedo, name=name, origin=f"{origin}: shape '{name}'"

@@ -33,6 +33,15 @@ def usable_variant() -> str:
     """
     wanted = os.environ.get("SLEPIAN_PRT_VARIANT", "")
     if wanted:
+        if (
+            wanted not in _import().variants()
+            or not wanted.startswith(("llvm_", "cuda_"))
+            or not wanted.endswith("_rgb")
+        ):
+            known = [
+                name for name in _import().variants() if name.startswith(("llvm_", "cuda_")) and name.endswith("_rgb")
+            ]
+            raise UserError(f"SLEPIAN_PRT_VARIANT must be one of {', '.join(known)}, not {wanted!r}")
         if wanted.startswith("llvm"):
             prepare_llvm()
         return wanted

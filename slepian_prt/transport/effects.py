@@ -74,7 +74,7 @@ def plan_effects(mi: Any, scene: Scene, seed: int = 0) -> tuple[Effect, ...]:
         )
     rows.append(Effect("colour", OMITTED, 0.0, 0.0, "direct light: one channel, the albedo applied when relighting"))
     rows += [
-        Effect(what, NOT_SIMULATED, None, None, "only distant, diffusely reflected light is")
+        Effect(what, NOT_SIMULATED, None, None, "only diffuse reflection of distant light is simulated")
         for what in scene.not_simulated
     ]
     return tuple(rows)

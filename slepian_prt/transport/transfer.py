@@ -101,6 +101,8 @@ def precompute(
     bandlimit = check_bandlimit(bandlimit, largest=LARGEST_BANDLIMIT)
     if not isinstance(samples, int | np.integer) or not 1 <= samples <= LARGEST_SAMPLES:
         raise UserError(f"samples must be an integer in [1, {LARGEST_SAMPLES}], not {samples!r}")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise UserError(f"seed must be a non-negative integer, not {seed!r}")
     started = time.perf_counter()
     with open_scene(scene) as (mi, opened):
         if not opened.mesh.receivers.any():

@@ -186,6 +186,21 @@ def test_mitsuba_scene(tmp_path):
     assert (ambient < 1.0).any()
 
 
+def test_rectangles_are_receivers(tmp_path, caplog):
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        """<scene version="3.0.0"><shape type="rectangle" id="ground"><transform name="to_world"><scale value="2"/>
+        </transform><bsdf type="diffuse"><rgb name="reflectance" value="0.2, 0.8, 0.2"/></bsdf></shape></scene>"""
+    )
+    with caplog.at_level("INFO"):
+        transfer = precompute(path, bandlimit=2, samples=16)
+    assert "shape 'ground' has only 4 vertices" in caplog.text
+    np.testing.assert_allclose(transfer.positions[:, :2], [[-2, -2], [2, -2], [-2, 2], [2, 2]], atol=1e-6)
+    np.testing.assert_allclose(transfer.normals, np.tile([0.0, 0, 1], (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(transfer.mesh.albedo, np.tile([0.2, 0.8, 0.2], (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(transfer.vectors[:, 0, 0] * AMBIENT, 1.0, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
