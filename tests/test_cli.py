@@ -115,7 +115,7 @@ BAD = {
     "two rules": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--terms", "4", "--tolerance", "0.1"], "only one of"),
     "unknown basis": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--basis", "fourier"], "'fourier'"),
     "no folder": (["precompute", "{}/ball.ply", "-o", "{}/none/x.prt"], "does not exist"),
-    "folder as file": (["precompute", "{}/ball.ply", "-o", "{}"], "is a folder"),
+    "folder as output": (["precompute", "{}/ball.ply", "-o", "{}"], "is a folder"),
     "no output": (["precompute", "{}/ball.ply"], "--output"),
     "no file": (["info", "{}/none.prt"], "no such file"),
     "cut file": (["info", "{}/cut.prt"], "cut short or damaged"),
@@ -149,6 +149,17 @@ BAD = {
         ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "--basis", "x", "-o", "{}/x"],
         "basis must be one of",
     ),
+    "negative seed": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--seed", "-1"], "seed must be"),
+    "no name": (["precompute", "{}/ball.ply", "-o", ""], "output is empty"),
+    "over the mesh": (["precompute", "{}/ball.ply", "-o", "{}/ball.ply"], "is the input"),
+    "over the map": (["relight", "{}/ball.prt", "--environment", "{}/map.exr", "-o", "{}/map.exr"], "is the input"),
+    "noise": (
+        ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "--noise", "0", "-o", "{}/x"],
+        "noise must be a positive number",
+    ),
+    "no report name": (["compare", "{}/ball.ply", "--environment", "{}/map.exr", "-o", ""], "folder is empty"),
+    "folder as map": (["relight", "{}/ball.prt", "--environment", "{}", "-o", "{}/x.png"], "is a folder"),
+    "folder as file": (["info", "{}"], "is a folder"),
     "unknown command": (["fly"], "fly"),
 }
 

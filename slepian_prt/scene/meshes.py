@@ -79,8 +79,18 @@ def read_mesh(path: str | Path) -> Mesh:
     if path.suffix.lower() == ".glb":
         _refuse_undecodable_glb(path)
     loaded = _load(path)
+    positions, faces = loaded.vertices, loaded.faces
     given = loaded.vertex_normals if "vertex_normals" in loaded._cache.cache else None
-    return make_mesh(loaded.vertices, loaded.faces, normals=given, name=path.stem, origin=str(path))
+    if path.suffix.lower() == ".stl" or (path.suffix.lower() == ".obj" and given is None):
+        # STL has no shared vertices, and OBJ splits them where texture coordinates differ: normals computed without
+        # joining them again would be faceted, or show the seams of the texture.
+        given = None
+        before = len(positions)
+        positions, joined = np.unique(np.asarray(positions), axis=0, return_inverse=True)
+        faces = joined.ravel()[np.asarray(faces)]
+        if len(positions) < before:
+            log.info("%s: %d vertices joined to %d of different position", path, before, len(positions))
+    return make_mesh(positions, faces, normals=given, name=path.stem, origin=str(path))
 
 
 def make_mesh(
@@ -247,11 +257,6 @@ def _load(path: Path) -> trimesh.Trimesh:
         raise UserError(f"{path}: the mesh has no faces (a point cloud?); light needs surfaces, so mesh it first")
     if not isinstance(loaded, trimesh.Trimesh):
         raise UserError(f"{path}: holds a {type(loaded).__name__}, not a triangle mesh; export triangles")
-    if path.suffix.lower() == ".stl":
-        # STL has no shared vertices: without merging them, shading would be faceted and three times the work.
-        before = len(loaded.vertices)
-        loaded.merge_vertices()
-        log.info("%s: %d corners of triangles merged to %d vertices", path, before, len(loaded.vertices))
     return loaded
 
 

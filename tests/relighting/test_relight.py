@@ -14,6 +14,7 @@ from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.environments import make_environment, project_environment
 from slepian_prt.scene.meshes import make_mesh
 from slepian_prt.scene.scenes import open_scene
+from slepian_prt.scene.scenes import sensor as scene_sensor
 from slepian_prt.scene.variants import bitmap_module
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
@@ -123,6 +124,29 @@ def test_the_lit_side_is_the_references_lit_side(direction):
     a, b = ours.radiance[..., 0].ravel(), reference.picture.radiance[..., 0].ravel()
     # Diffuse shading of a small light is bandlimited to a few per cent at L = 8; a wrong side would be near 0 or below.
     assert np.corrcoef(a, b)[0, 1] > 0.99
+
+
+def test_back_sides_are_not_drawn():
+    """Half a ball seen into: transfer knows no light on its inside, so the picture leaves it out."""
+    ball = trimesh.creation.icosphere(4)
+    faces = ball.faces[(ball.vertices[ball.faces][:, :, 2] <= 1e-9).all(axis=1)]  # open towards the camera
+    shell = make_mesh(ball.vertices, faces)
+    with open_scene(shell) as (mi, scene):
+        camera = trace_camera(mi, scene, 64)
+        reference = render_reference(mi, scene, make_environment(smooth_sky()), width=64, noise=0.05)
+    assert camera.behind.sum() > 5 * camera.alpha.sum()
+    masked = camera.masked(reference.picture)
+    assert masked.radiance[camera.alpha == 0].max() == 0.0
+    assert reference.picture.radiance[camera.alpha == 0].max() > 0.5
+
+
+def test_no_ray_slips_through_an_edge_to_a_bright_far_side(rng):
+    ball = sphere(5)
+    with open_scene(ball) as (mi, scene):
+        camera = trace_camera(mi, scene, 256)
+        eye = np.array(mi.traverse(scene_sensor(mi, scene, 256))["to_world"].matrix)[:3, 3].ravel()
+    radiance = np.where((ball.normals @ (eye / np.linalg.norm(eye)) < -0.05)[:, None], 1.0, 0.0).repeat(3, axis=1)
+    assert camera.picture(radiance).radiance.max() == 0.0
 
 
 # --- Files -----------------------------------------------------------------------------------------------------------

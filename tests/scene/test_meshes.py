@@ -104,6 +104,54 @@ def test_placed_parts_of_a_glb_are_joined(tmp_path):
     assert mesh.positions[:, 0].max() == pytest.approx(6.0, abs=0.02)
 
 
+BOX_OBJ = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+BOX_FACES = (  # corners and the outward axis of each side
+    ((1, 2, 4, 3), 1), ((5, 7, 8, 6), 2), ((1, 5, 6, 2), 3), ((3, 4, 8, 7), 4), ((1, 3, 7, 5), 5), ((2, 6, 8, 4), 6),
+)  # fmt: skip
+
+
+def test_hard_edges_of_an_obj_are_kept(tmp_path):
+    """One position with three normals is three vertices; trimesh can be asked to collapse them, which is wrong."""
+    text = BOX_OBJ + "vn -1 0 0\nvn 1 0 0\nvn 0 -1 0\nvn 0 1 0\nvn 0 0 -1\nvn 0 0 1\n"
+    for corners, axis in BOX_FACES:
+        text += "f " + " ".join(f"{c}//{axis}" for c in corners) + "\n"
+    path = tmp_path / "box.obj"
+    path.write_text(text)
+    mesh = read_mesh(path)
+    assert len(np.unique(np.column_stack([mesh.positions, mesh.normals]).round(6), axis=0)) == 24
+    for corner in range(3):
+        flat = mesh.positions[mesh.faces]
+        face_normal = np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])
+        assert np.einsum("ij,ij->i", mesh.normals[mesh.faces[:, corner]], face_normal).min() > 0.99
+
+
+def test_seams_of_a_texture_are_no_seams_of_the_normals(tmp_path):
+    text = BOX_OBJ + "".join(f"vt {i / 7} 0\n" for i in range(8))
+    for corners, axis in BOX_FACES:
+        text += "f " + " ".join(f"{c}/{(c + axis) % 8 + 1}" for c in corners) + "\n"
+    path = tmp_path / "box.obj"
+    path.write_text(text)
+    mesh = read_mesh(path)
+    assert len(mesh.positions) == 8
+    np.testing.assert_allclose(mesh.normals, np.sign(mesh.positions - 0.5) / np.sqrt(3), atol=1e-9)
+
+
+def test_objects_of_an_obj_do_not_repeat_each_others_vertices(tmp_path):
+    text = "o one\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\no two\nv 0 0 1\nv 1 0 1\nv 0 1 1\nf 4 5 6\n"
+    path = tmp_path / "two.obj"
+    path.write_text(text)
+    assert len(read_mesh(path).positions) == 6
+
+
+def test_inconsistent_winding_is_remarked_on():
+    ball = trimesh.creation.icosphere(2)
+    faces = ball.faces.copy()
+    faces[::3] = faces[::3, ::-1]
+    assert any("opposite orientation" in note for note in make_mesh(ball.vertices, faces).notes)
+    assert not make_mesh(ball.vertices, ball.faces).notes
+    assert not make_mesh(ball.vertices, ball.faces[:, ::-1]).notes
+
+
 def test_given_normals_are_kept_and_bad_ones_replaced(caplog):
     given = np.array([[0, 0, 2.0], [0, 0, 0], [np.nan, 0, 1]])
     with caplog.at_level(logging.INFO):

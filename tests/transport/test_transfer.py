@@ -186,6 +186,22 @@ def test_mitsuba_scene(tmp_path):
     assert (ambient < 1.0).any()
 
 
+@pytest.mark.parametrize(
+    "light",
+    [
+        '<emitter type="point"><point name="position" x="0" y="0" z="3"/></emitter>',
+        '<emitter type="directional"/>',
+        '<shape type="sphere"><point name="center" x="0" y="0" z="3"/><emitter type="area"/></shape>',
+        '<shape type="cube" id="lamp"><emitter type="area"/></shape>',
+    ],
+)
+def test_lights_that_are_not_distant_are_named(light, tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{light}<shape type="cube"><bsdf type="diffuse"/></shape></scene>')
+    effects = precompute(path, bandlimit=1, samples=16).effects
+    assert any(effect.name.startswith("light") and effect.verdict == "not simulated" for effect in effects)
+
+
 def test_rectangles_are_receivers(tmp_path, caplog):
     path = tmp_path / "scene.xml"
     path.write_text(
