@@ -212,6 +212,8 @@ def test_interrupt_leaves_nothing(folder, tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A runner in the background hands down that interrupts are ignored.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert "effect" in process.stdout.readline()  # the plan is printed, the rays are being traced
     time.sleep(0.5)
