@@ -17,7 +17,7 @@ from slepian_prt.evaluation import spectra
 from slepian_prt.evaluation.errors import relative_rms
 from slepian_prt.evaluation.reference import render_reference
 from slepian_prt.relighting.picture import exposure, to_srgb, trace_camera
-from slepian_prt.scene.scenes import open_scene
+from slepian_prt.scene.loading import open_scene
 
 ROOT = Path(__file__).parent.parent
 FIGURES = ROOT / "docs" / "figures"

@@ -34,6 +34,19 @@ samples_option = click.option(
     "--samples", default=1024, show_default=True, help="Rays per vertex, over the hemisphere."
 )
 clusters_option = click.option("--clusters", default=96, show_default=True, help="Number of normal-space caps.")
+effects_option = click.option(
+    "--effects",
+    default="auto",
+    show_default=True,
+    metavar="WHICH",
+    help="auto, direct, all, none, or some of shadows,interreflection,colour.",
+)
+bounces_option = click.option(
+    "--bounces", type=int, help="Of light between surfaces.  [default: until what is left is below 0.1 %]"
+)
+albedo_option = click.option(
+    "--albedo", metavar="A|R,G,B", help="Diffuse reflectance of a mesh file.  [default: 1, no interreflection]"
+)
 seed_option = click.option("--seed", default=0, show_default=True, help="The same seed gives the same result.")
 clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
 rotate_option = click.option(
@@ -133,6 +146,9 @@ def spectrum(
     type=click.Choice(["coded", "float16", "float32"]),
     help="Coefficients: rounded, predicted, entropy-coded; or plain.  [default: coded; by --terms, --truncate float32]",
 )
+@effects_option
+@bounces_option
+@albedo_option
 @seed_option
 def precompute(
     scene: str,
@@ -146,6 +162,9 @@ def precompute(
     epsilon: float,
     clusters: int,
     coding: str | None,
+    effects: str,
+    bounces: int | None,
+    albedo: str | None,
     seed: int,
 ) -> None:
     """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file."""
@@ -156,7 +175,17 @@ def precompute(
     check_options(basis, tolerance, terms, truncate, epsilon, clusters, coding or "coded", bandlimit)
     archive.check_writable(output, scene)
     with progress("transport", "vertices") as (advance, _):
-        transfer = trace(scene, bandlimit, samples, seed=seed, on_plan=print_plan, advance=advance)
+        transfer = trace(
+            scene,
+            bandlimit,
+            samples,
+            effects=effects,
+            bounces=bounces,
+            albedo=read_albedo(albedo),
+            seed=seed,
+            on_plan=print_plan,
+            advance=advance,
+        )
     packed = compress(
         transfer,
         basis,
@@ -192,6 +221,8 @@ def info(file: str, as_json: bool) -> None:
         "bandlimit": packed.bandlimit,
         "basis": packed.basis,
         "coding": packed.coding,
+        "channels": packed.channels,
+        "bounces": packed.bounces,
         "clusters": len(packed.bases),
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
@@ -217,30 +248,41 @@ def info(file: str, as_json: bool) -> None:
 
 @cli.command()
 @click.argument("file", type=click.Path())
-@click.option("--environment", required=True, type=click.Path(), help="Map: .exr, .hdr or .png, twice as wide as high.")
+@click.option(
+    "--environment",
+    type=click.Path(),
+    help="Map: .exr, .hdr or .png, twice as wide as high.  [default: the light of the .xml scene]",
+)
 @rotate_option
 @clamp_option
 @click.option("--width", default=800, show_default=True, help="Of a picture, in pixels.")
 @output_option
-def relight(file: str, environment: str, rotate: float, clamp_negative: bool, width: int, output: str) -> None:
+def relight(file: str, environment: str | None, rotate: float, clamp_negative: bool, width: int, output: str) -> None:
     """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr)."""
     from slepian_prt.compression import archive
     from slepian_prt.compression.compressed import load
     from slepian_prt.relighting import outputs, picture
     from slepian_prt.relighting.relight import negative_part
     from slepian_prt.relighting.relight import relight as apply
-    from slepian_prt.scene.environments import project_environment, read_environment
+    from slepian_prt.scene.environments import about_up, project_environment, read_environment
+    from slepian_prt.sphere.rotation import rotate_sh
 
     suffix = Path(output).suffix.lower()
     if suffix not in outputs.SUFFIXES:
         raise UserError(f"{output}: unknown kind of output '{suffix}'; name one of {', '.join(outputs.SUFFIXES)}")
     check_width(width)
-    archive.check_writable(output, file, environment)
+    archive.check_writable(output, file, *([environment] if environment else []))
     packed = load(file)
-    light = read_environment(environment, clamp_negative=clamp_negative)
-    if light.clamped:
-        note(f"{environment}: {light.clamped} negative texels set to zero")
-    radiance = apply(packed, project_environment(light, packed.bandlimit, rotate=rotate))
+    if environment is not None:
+        light = read_environment(environment, clamp_negative=clamp_negative)
+        if light.clamped:
+            note(f"{environment}: {light.clamped} negative texels set to zero")
+        lighting = project_environment(light, packed.bandlimit, rotate=rotate)
+    elif packed.lighting is not None:
+        lighting = rotate_sh(packed.lighting, about_up(rotate))
+    else:
+        raise UserError(f"{file}: the scene has no light of its own; name a map with --environment")
+    radiance = apply(packed, lighting)
     negative = negative_part(radiance)
     if negative > 0.0:
         note(f"{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit)")
@@ -250,23 +292,32 @@ def relight(file: str, environment: str, rotate: float, clamp_negative: bool, wi
         scale = outputs.write_coloured_mesh(output, packed.mesh, radiance)
         note(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
     else:
-        from slepian_prt.scene.scenes import open_scene
+        from slepian_prt.scene.loading import open_scene
 
         with open_scene(packed.mesh) as (mi, scene):
             camera = picture.trace_camera(mi, scene, width)
         picture.write_picture(output, camera.picture(radiance))
-    click.echo(f"{output}: {len(radiance)} vertices under {Path(environment).name}")
+    shone = Path(environment).name if environment is not None else "the light of the scene"
+    click.echo(f"{output}: {len(radiance)} vertices under {shone}")
 
 
 @cli.command()
 @scene_argument
-@click.option("--environment", multiple=True, required=True, type=click.Path(), help="Map; may be given several times.")
+@click.option(
+    "--environment",
+    multiple=True,
+    type=click.Path(),
+    help="Map; may be given several times.  [default: the light of the .xml scene]",
+)
 @click.option("-o", "--output", required=True, type=click.Path(), help="Folder for report.html, results.json, figures.")
 @bandlimit_option
 @samples_option
 @clusters_option
 @click.option("--basis", "bases", multiple=True, help="Only these bases; may be given several times.")
 @click.option("--terms", "terms", multiple=True, type=int, help="Numbers of functions; may be given several times.")
+@effects_option
+@bounces_option
+@albedo_option
 @rotate_option
 @clamp_option
 @click.option("--width", default=400, show_default=True, help="Of the pictures, in pixels.")
@@ -281,6 +332,9 @@ def compare(
     clusters: int,
     bases: tuple[str, ...],
     terms: tuple[int, ...],
+    effects: str,
+    bounces: int | None,
+    albedo: str | None,
     rotate: float,
     clamp_negative: bool,
     width: int,
@@ -318,14 +372,18 @@ def compare(
             clusters=clusters,
             bases=bases or DEFAULT_BASES,
             terms=terms or DEFAULT_TERMS,
+            effects=effects,
+            bounces=bounces,
+            albedo=read_albedo(albedo),
             seed=seed,
             width=width,
             noise=noise,
             status=tell,
+            on_plan=print_plan,
             advance=advance,
         )
     page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]))
-    lights = f"{len(maps)} environment{'s' if len(maps) > 1 else ''}"
+    lights = f"{len(comparison.views)} environment{'s' if len(comparison.views) > 1 else ''}"
     click.echo(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
 
 
@@ -376,17 +434,35 @@ def progress(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], None],
 def print_plan(effects: Sequence[Any]) -> None:
     """The effects plan as a table."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("effect", "verdict", "contribution", "reason"):
-        table.add_column(heading, justify="right" if heading == "contribution" else "left")
+    for heading in ("effect", "verdict", "contribution", "cost", "reason"):
+        table.add_column(heading, justify="right" if heading in ("contribution", "cost") else "left")
     for effect in effects:
         amount = "unknown" if effect.contribution is None else f"{effect.contribution:.3f}"
         if effect.confidence:
             amount += f" ± {effect.confidence:.3f}"
-        table.add_row(effect.name, effect.verdict, amount, effect.reason)
+        table.add_row(effect.name, effect.verdict, amount, _rays(effect.rays), effect.reason)
     console = Console()
     if not console.is_terminal:
         console = Console(width=200)
     console.print(table)
+
+
+def _rays(count: int) -> str:
+    """A number of rays to two digits."""
+    for size, unit in ((10**9, "G"), (10**6, "M"), (10**3, "k")):
+        if count >= size:
+            return f"{count / size:.2g} {unit}rays" if count < 10 * size else f"{count / size:.0f} {unit}rays"
+    return f"{count} rays" if count else "none"
+
+
+def read_albedo(text: str | None) -> list[float] | None:
+    """One number or three with commas between; None stays None."""
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UserError(f"--albedo must be one number between 0 and 1, or three as R,G,B; not {text!r}") from None
 
 
 def note(text: str) -> None:

@@ -30,6 +30,14 @@ _ANGLE_STEP = 1.02
 PILOT_SIZE = 400
 
 
+def channel_mixing(channels: int) -> NDArray[np.float32]:
+    """Orthonormal rows that turn red, green and blue into channels that hardly correlate: their mean, then tints."""
+    if channels == 1:
+        return np.ones((1, 1), dtype=np.float32)
+    rows = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [1.0, -2.0, 1.0]])
+    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
+
+
 @dataclass(frozen=True)
 class LinearBasis:
     """K functions of one cap: t ≈ mean + Σ_k c_k f_k with c = fᵀ (t - mean).
@@ -43,7 +51,7 @@ class LinearBasis:
         Functions of one order each in the cap's frame.
     dense : (K, (L+1)²) float32, float16 or None
         Functions in the world frame. If this and ``radial`` are None, the functions are the first K harmonics.
-    mean : ((L+1)²,) float32, float16 or None
+    mean : (channels, (L+1)²) float32, float16 or None
     count, bandlimit : int
         K and L.
     """
@@ -82,19 +90,30 @@ class LinearBasis:
         return replace(self, dense=dense, mean=mean)
 
     def project(self, vectors: NDArray) -> NDArray[np.float32]:
-        """(n, K) coefficients of transfer vectors (n, (L+1)²)."""
+        """(n, K channels) coefficients of transfer vectors (n, channels, (L+1)²); those of one function together."""
         centred = vectors if self.mean is None else vectors - self.mean
-        return (centred @ self.functions.T.astype(np.float32)).astype(np.float32)
+        n, channels, size = centred.shape
+        coefficients = centred.reshape(-1, size) @ self.functions.T.astype(np.float32)
+        by_function = np.swapaxes(coefficients.reshape(n, channels, self.count), 1, 2)
+        return by_function.reshape(n, -1).astype(np.float32)
 
-    def reconstruct(self, coefficients: NDArray) -> NDArray[np.float32]:
-        """(n, (L+1)²) transfer vectors from (n, K) coefficients."""
-        vectors = coefficients.astype(np.float32) @ self.functions.astype(np.float32)
+    def reconstruct(self, coefficients: NDArray, channels: int) -> NDArray[np.float32]:
+        """(n, channels, (L+1)²) transfer vectors from (n, K channels) coefficients."""
+        n = len(coefficients)
+        by_channel = np.swapaxes(coefficients.reshape(n, self.count, channels), 1, 2).reshape(n * channels, self.count)
+        vectors = (by_channel.astype(np.float32) @ self.functions.astype(np.float32)).reshape(
+            n, channels, num_coefficients(self.bandlimit)
+        )
         return vectors if self.mean is None else vectors + self.mean
 
-    def light(self, lighting: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What each function, (K, 3), and the mean, (3,), make of lighting (3, (L+1)²)."""
-        mean = np.zeros(3) if self.mean is None else lighting @ self.mean.astype(np.float64)
-        return self.functions @ lighting.T, mean
+    def light(self, lighting: NDArray, mixing: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What each coefficient, (K channels, 3), and the mean, (3,), make of lighting (3, (L+1)²).
+
+        ``mixing`` (channels, 3) is the part of each channel in red, green and blue.
+        """
+        by_function = np.einsum("kc,dc->kdc", self.functions @ lighting.T, mixing)
+        mean = np.zeros(3) if self.mean is None else np.einsum("dm,cm,dc->c", self.mean, lighting, mixing)
+        return by_function.reshape(-1, 3), mean
 
 
 def pack_radial(bases: tuple[LinearBasis, ...]) -> dict[str, NDArray]:
@@ -173,7 +192,10 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What the builders of bases may look at. Beyond the pilot only ``cpca`` looks at the vectors."""
+    """What the builders of bases may look at. Beyond the pilot only ``cpca`` looks at the vectors.
+
+    ``vectors`` (V, channels, (L+1)²) are those of the transfer.
+    """
 
     bandlimit: int
     clusters: Clusters
@@ -181,6 +203,12 @@ class Problem:
     vectors: NDArray[np.float32]
     seed: int = 0
     _solved: dict[tuple[str, float], Any] = field(default_factory=dict, init=False, repr=False)
+
+    def of(self, members: NDArray) -> NDArray[np.float32]:
+        """(n, channels, (L+1)²) transfer vectors of some vertices, the channels decorrelated."""
+        chosen = self.vectors[members]
+        channels = chosen.shape[1]
+        return chosen if channels == 1 else np.einsum("dc,ncm->ndm", channel_mixing(channels), chosen)
 
     @cached_property
     def unoccluded(self) -> NDArray[np.float64]:
@@ -196,7 +224,8 @@ class Problem:
         step = max(1, in_order.size // PILOT_SIZE)
         pilot = in_order[np.random.default_rng(self.seed).integers(step) :: step]
         to_local = np.swapaxes(rotation_to(self.normals[pilot]), -1, -2)
-        return measured_moment(rotate_sh(self.vectors[pilot], to_local))
+        seen = self.of(pilot).astype(np.float64)
+        return measured_moment(rotate_sh(seen, to_local[:, None]).reshape(-1, seen.shape[2]))
 
     def functions(self, kind: str, half_angle: float) -> CapBasis:
         """Concentrated functions of a cap about z, solved once for all caps of that (shared) half-angle."""
@@ -292,12 +321,13 @@ def _cpca(problem: Problem, cap: Cap, members: NDArray) -> Candidate:
     The first of K terms is the mean, whose coefficient is one and is not stored.
     """
     size = num_coefficients(problem.bandlimit)
-    vectors = problem.vectors[members].astype(np.float64)
-    mean = vectors.mean(axis=0) if members.size else np.zeros(size)
-    centred = vectors - mean
+    vectors = problem.of(members).astype(np.float64)
+    mean = vectors.mean(axis=0) if members.size else np.zeros(vectors.shape[1:])
+    centred = (vectors - mean).reshape(-1, size)
     variances, components = np.linalg.eigh(centred.T @ centred / max(members.size, 1))
     variances, components = np.maximum(variances[::-1], 0.0), components[:, ::-1].T
-    energies = np.concatenate([[mean @ mean], variances])[:size]
+    of_mean = float(np.sum(mean * mean))
+    energies = np.concatenate([[of_mean], variances])[:size]
 
     def cut(k: int) -> LinearBasis:
         return LinearBasis(
@@ -308,7 +338,7 @@ def _cpca(problem: Problem, cap: Cap, members: NDArray) -> Candidate:
             mean=mean.astype(np.float32),
         )
 
-    return Candidate(energies, float(mean @ mean + variances.sum()), cut)
+    return Candidate(energies, of_mean + float(variances.sum()), cut)
 
 
 BASES: dict[str, Callable[[Problem, Cap, NDArray], Candidate]] = {

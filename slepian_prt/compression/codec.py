@@ -83,9 +83,11 @@ def adjacency(faces: NDArray, count: int) -> csr_array:
     return pattern
 
 
-def quantise(coefficients: NDArray, step: float) -> NDArray[np.int32]:
-    """Nearest multiples of ``step``, as integers."""
-    return np.rint(coefficients / step).astype(np.int32)
+def quantise(coefficients: NDArray, step: float) -> NDArray[np.signedinteger]:
+    """Nearest multiples of ``step``, as integers, of 16 bits where those do."""
+    multiples = np.rint(coefficients / np.float32(step))
+    small = multiples.size == 0 or float(np.abs(multiples).max()) <= np.iinfo(np.int16).max
+    return multiples.astype(np.int16 if small else np.int32)
 
 
 def step_for(coefficients: list[NDArray], energy: float) -> float:
@@ -108,26 +110,28 @@ def step_for(coefficients: list[NDArray], energy: float) -> float:
     return low
 
 
-def encode(quantised: list[NDArray[np.int32]], neighbours: list[csr_array]) -> Coded:
+def encode(quantised: list[NDArray[np.signedinteger]], neighbours: list[csr_array]) -> Coded:
     """Code the integers of each cap.
 
     Parameters
     ----------
-    quantised : list of (n_c, K_c) int32, in surface order
+    quantised : list of (n_c, K_c) integers, in surface order
     neighbours : list of (n_c, n_c) patterns of the same vertices
     """
     widest = max(q.shape[1] for q in quantised)
     shrink = _fit_shrinkage(quantised, neighbours, widest)
-    differences = [_differences(q, near, shrink) for q, near in zip(quantised, neighbours, strict=True)]
-    classes = [_classify(d) for d in differences]
+    classes = []
     histograms = np.zeros((_CLASSES, 2 * _LARGEST + 2), dtype=np.uint32)
-    for d, kinds in zip(differences, classes, strict=True):
-        for kind in np.unique(kinds[kinds > 0]):
-            symbols = _symbols(d[:, kinds == kind])
+    for q, near in zip(quantised, neighbours, strict=True):
+        d = _differences(q, near, shrink)
+        classes.append(_classify(d))
+        for kind in np.unique(classes[-1][classes[-1] > 0]):
+            symbols = _symbols(d[:, classes[-1] == kind])
             histograms[kind] += np.bincount(symbols.ravel(), minlength=2 * _LARGEST + 2).astype(np.uint32)
     models = _models(histograms)
     caps = []
-    for d, kinds in zip(differences, classes, strict=True):
+    for q, near, kinds in zip(quantised, neighbours, classes, strict=True):
+        d = _differences(q, near, shrink)  # once more: those of all caps together would take too much memory
         coder = _ANS()
         escapes = []
         present = np.unique(kinds[kinds > 0])
@@ -191,10 +195,10 @@ class _Step:
     counts: NDArray[np.int64]
     on_curve: NDArray[np.bool_]
 
-    def sums(self, q: NDArray[np.int32]) -> NDArray[np.int64]:
+    def sums(self, q: NDArray[np.signedinteger]) -> NDArray[np.int64]:
         return np.asarray(self.sources @ q.astype(np.int64))
 
-    def predict(self, q: NDArray[np.int32], shrink: NDArray[np.uint8]) -> NDArray[np.int32]:
+    def predict(self, q: NDArray[np.signedinteger], shrink: NDArray[np.uint8]) -> NDArray[np.int32]:
         """Shrunken means, rounded half up, in integers throughout."""
         believed = shrink[self.on_curve.astype(int), : q.shape[1]].astype(np.int64)
         divisor = (_SHRINK * np.maximum(self.counts, 1))[:, None]
@@ -224,14 +228,16 @@ def _steps(near: csr_array) -> Iterator[_Step]:
         stride //= 2
 
 
-def _differences(q: NDArray[np.int32], near: csr_array, shrink: NDArray[np.uint8]) -> NDArray[np.int32]:
-    d = q.copy()
+def _differences(q: NDArray[np.signedinteger], near: csr_array, shrink: NDArray[np.uint8]) -> NDArray[np.int32]:
+    d = q.astype(np.int32)
     for step in _steps(near):
         d[step.todo] -= step.predict(q, shrink)
     return d
 
 
-def _fit_shrinkage(quantised: list[NDArray[np.int32]], neighbours: list[csr_array], widest: int) -> NDArray[np.uint8]:
+def _fit_shrinkage(
+    quantised: list[NDArray[np.signedinteger]], neighbours: list[csr_array], widest: int
+) -> NDArray[np.uint8]:
     """Least squares over all caps: how much of the mean of neighbours predicts a component."""
     products, squares = np.zeros((2, widest)), np.zeros((2, widest))
     for q, near in zip(quantised, neighbours, strict=True):

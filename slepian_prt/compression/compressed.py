@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,11 +21,13 @@ from slepian_prt.compression.bases import (
     LinearBasis,
     Problem,
     candidates,
+    channel_mixing,
     pack_radial,
     unpack_radial,
 )
 from slepian_prt.compression.clusters import Clusters, cluster_normals
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
+from slepian_prt.scene.environments import project_environment
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.scene.scenes import Part
 from slepian_prt.sphere.caps import Cap
@@ -57,8 +60,10 @@ class CompressedTransfer:
     bases : tuple of LinearBasis
         One per cap.
     clusters : Clusters
-    coefficients : tuple of (n_c, K_c) arrays, float32 or float16
-        In the order of ``clusters.members``.
+    channels : 1 or 3
+        Of the transfer; three are stored decorrelated, see `channel_mixing`.
+    coefficients : tuple of (n_c, K_c channels) arrays
+        In the order of ``clusters.members``: float32 or float16, or integer multiples of ``step``.
     coding : str
         ``coded`` (rounded to multiples of ``step``, predicted and entropy-coded in the file), ``float16``, ``float32``.
     step : float
@@ -66,9 +71,11 @@ class CompressedTransfer:
     predicted_error : float
         Relative RMS error of the transfer vectors that the basis's own model of transport expects.
     effects : tuple of Effect
-    samples, seed, rays_traced : int
+    bounces, samples, seed, rays_traced : int
     seconds : dict of str to float
     source : str
+    lighting : (3, (L+1)²) or None
+        Of the scene's own distant light.
     """
 
     mesh: Mesh
@@ -77,16 +84,19 @@ class CompressedTransfer:
     basis: str
     bases: tuple[LinearBasis, ...]
     clusters: Clusters
+    channels: int
     coefficients: tuple[NDArray, ...]
     coding: str
     step: float
     predicted_error: float
     effects: tuple[Effect, ...]
+    bounces: int
     samples: int
     seed: int
     rays_traced: int
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
+    lighting: NDArray[np.float64] | None = None
 
     @property
     def terms(self) -> float:
@@ -101,21 +111,31 @@ class CompressedTransfer:
         return archive.encoded_size(self._transfer_arrays()) / len(self.mesh.positions)
 
     def reconstruct(self) -> NDArray[np.float32]:
-        """(V, (L+1)²) transfer vectors as the file has them."""
-        vectors = np.empty((len(self.mesh.positions), num_coefficients(self.bandlimit)), dtype=np.float32)
-        for members, basis, values in zip(self.clusters.members, self.bases, self.coefficients, strict=True):
-            vectors[members] = basis.reconstruct(values)
+        """Transfer vectors as the file has them: (V, (L+1)²), or (V, 3, (L+1)²) with three channels."""
+        count, size = len(self.mesh.positions), num_coefficients(self.bandlimit)
+        vectors = np.empty((count, self.channels, size), dtype=np.float32)
+        mixing = channel_mixing(self.channels)
+        for members, basis, values in zip(self.clusters.members, self.bases, self._values(), strict=True):
+            mixed = basis.reconstruct(values, self.channels)
+            vectors[members] = mixed if self.channels == 1 else np.einsum("dc,ndm->ncm", mixing, mixed)
         vectors[~self.mesh.receivers] = 0.0
-        return vectors
+        return vectors[:, 0] if self.channels == 1 else vectors
 
     def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
         """(V, 3) outgoing radiance under lighting (3, (L+1)²), straight from the coefficients."""
         result = np.empty((len(self.mesh.positions), 3), dtype=np.float32)
-        for members, basis, values in zip(self.clusters.members, self.bases, self.coefficients, strict=True):
-            functions, mean = basis.light(lighting)
-            result[members] = values.astype(np.float32) @ functions.astype(np.float32) + mean
+        # One channel stands for all three; three are mixed back.
+        mixing = np.ones((1, 3)) if self.channels == 1 else channel_mixing(3).astype(np.float64)
+        for members, basis, values in zip(self.clusters.members, self.bases, self._values(), strict=True):
+            functions, mean = basis.light(lighting, mixing)
+            result[members] = values @ functions.astype(np.float32) + mean
         result[~self.mesh.receivers] = 0.0
         return result * self.mesh.albedo
+
+    def _values(self) -> Iterator[NDArray[np.float32]]:
+        """Coefficients of each cap as numbers."""
+        scale = np.float32(self.step if self.coding == "coded" else 1.0)
+        return (stored.astype(np.float32) * scale for stored in self.coefficients)
 
     # --- File --------------------------------------------------------------------------------------------------------
 
@@ -129,6 +149,8 @@ class CompressedTransfer:
         """
         manifest = {
             "bandlimit": self.bandlimit,
+            "channels": self.channels,
+            "bounces": self.bounces,
             "basis": self.basis,
             "coding": self.coding,
             "step": self.step,
@@ -150,7 +172,8 @@ class CompressedTransfer:
             "mesh/faces": self.mesh.faces,
             "mesh/albedo": self.mesh.albedo,
         }
-        archive.write(path, manifest, {**mesh, **self._transfer_arrays()})
+        light = {} if self.lighting is None else {"environment/lighting": self.lighting}
+        archive.write(path, manifest, {**mesh, **light, **self._transfer_arrays()})
 
     def _transfer_arrays(self) -> dict[str, NDArray]:
         caps = self.clusters.caps
@@ -175,7 +198,7 @@ class CompressedTransfer:
     def _coded_arrays(self) -> dict[str, NDArray]:
         order, neighbours = _surface(self.mesh, self.clusters)
         quantised = [
-            codec.quantise(values[np.searchsorted(members, along)], self.step)
+            values[np.searchsorted(members, along)]
             for values, members, along in zip(self.coefficients, self.clusters.members, order, strict=True)
         ]
         coded = codec.encode(quantised, neighbours)
@@ -197,20 +220,15 @@ def _surface(mesh: Mesh, clusters: Clusters) -> tuple[list[NDArray], list[Any]]:
     return order, [pattern[along][:, along] for along in order]
 
 
-def _decoded(
-    arrays: dict[str, NDArray], mesh: Mesh, clusters: Clusters, terms: NDArray, step: float
-) -> tuple[NDArray, ...]:
-    """Coefficients of each cap from the ``coded/`` arrays, in the order of ``clusters.members``."""
+def _decoded(arrays: dict[str, NDArray], mesh: Mesh, clusters: Clusters, widths: NDArray) -> tuple[NDArray, ...]:
+    """Multiples of the step of each cap from the ``coded/`` arrays, in the order of ``clusters.members``."""
     order, neighbours = _surface(mesh, clusters)
     words = np.split(arrays["coded/words"], np.cumsum(arrays["coded/lengths"].astype(np.int64))[:-1])
-    classes = np.split(arrays["coded/classes"], np.cumsum(terms)[:-1])
+    classes = np.split(arrays["coded/classes"], np.cumsum(widths)[:-1])
     escapes = np.split(arrays["coded/escapes"], np.cumsum(arrays["coded/escape_counts"].astype(np.int64))[:-1])
     caps = tuple(codec.CodedCap(*parts) for parts in zip(words, classes, escapes, strict=True))
     quantised = codec.decode(codec.Coded(caps, arrays["coded/histograms"], arrays["coded/shrink"]), neighbours)
-    coefficients = []
-    for q, along in zip(quantised, order, strict=True):
-        coefficients.append((q[np.argsort(along)] * np.float32(step)).astype(np.float32))
-    return tuple(coefficients)
+    return tuple(q[np.argsort(along)] for q, along in zip(quantised, order, strict=True))
 
 
 def load(path: str | Path) -> CompressedTransfer:
@@ -230,7 +248,7 @@ def load(path: str | Path) -> CompressedTransfer:
 
 def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> CompressedTransfer:
     bandlimit = int(manifest["bandlimit"])
-    size = num_coefficients(bandlimit)
+    size, channels = num_coefficients(bandlimit), int(manifest["channels"])
     mesh = Mesh(
         manifest["name"],
         arrays["mesh/positions"],
@@ -246,20 +264,21 @@ def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compr
     unknown: list[Any] = [None] * len(caps)
     orders, radial = unpack_radial(arrays, terms, bandlimit) if "radial/order" in arrays else (unknown, unknown)
     dense = np.split(arrays["basis/dense"].reshape(-1, size), starts) if "basis/dense" in arrays else unknown
-    mean = list(arrays["basis/mean"].reshape(-1, size)) if "basis/mean" in arrays else unknown
+    mean = list(arrays["basis/mean"].reshape(-1, channels, size)) if "basis/mean" in arrays else unknown
     bases = tuple(
         LinearBasis(cap.center, bandlimit, int(k), *parts)
         for cap, k, *parts in zip(caps, terms, orders, radial, dense, mean, strict=True)
     )
     if manifest["coding"] == "coded":
-        coefficients = _decoded(arrays, mesh, clusters, terms, float(manifest["step"]))
+        coefficients = _decoded(arrays, mesh, clusters, terms * channels)
     else:
         sizes = np.array([len(members) for members in clusters.members])
-        lengths = sizes * terms
+        widths = terms * channels
+        lengths = sizes * widths
         if lengths.sum() != arrays["coefficients"].size:
             raise ValueError("number of coefficients")
         pieces = np.split(arrays["coefficients"], np.cumsum(lengths)[:-1])
-        coefficients = tuple(piece.reshape(n, k) for piece, n, k in zip(pieces, sizes, terms, strict=True))
+        coefficients = tuple(piece.reshape(n, k) for piece, n, k in zip(pieces, sizes, widths, strict=True))
     return CompressedTransfer(
         mesh,
         tuple(Part(name, first, number) for name, first, number in manifest["parts"]),
@@ -267,16 +286,19 @@ def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compr
         manifest["basis"],
         bases,
         clusters,
+        channels,
         coefficients,
         manifest["coding"],
         float(manifest["step"]),
         float(manifest["predicted_error"]),
         tuple(Effect(**effect) for effect in manifest["effects"]),
+        int(manifest["bounces"]),
         int(manifest["samples"]),
         int(manifest["seed"]),
         int(manifest["rays_traced"]),
         dict(manifest["seconds"]),
         manifest["source"],
+        arrays.get("environment/lighting"),
     )
 
 
@@ -330,7 +352,8 @@ def compress(
         label = basis
     if not isinstance(clusters, Clusters):
         clusters = cluster_normals(transfer.normals, clusters)
-    problem = Problem(transfer.bandlimit, clusters, transfer.normals, transfer.vectors[:, 0], transfer.seed)
+    channels = transfer.vectors.shape[1]
+    problem = Problem(transfer.bandlimit, clusters, transfer.normals, transfer.vectors, transfer.seed)
     found = candidates(basis, problem)
     sizes = np.array([len(members) for members in clusters.members])
     by_rounding = coding == "coded" and not by_number
@@ -341,10 +364,6 @@ def compress(
     bases = tuple(candidate.cut(int(k)) for candidate, k in zip(found, counts, strict=True))
     if coding != "float32":
         bases = tuple(b.halved() for b in bases)
-    coefficients = tuple(
-        b.project(problem.vectors[members]).astype(np.float16 if coding == "float16" else np.float32)
-        for b, members in zip(bases, clusters.members, strict=True)
-    )
     predicted, step = truncation.predicted_error(found, counts, sizes), 0.0
     if coding == "coded":
         asked = DEFAULT_TOLERANCE if tolerance is None else tolerance
@@ -353,8 +372,13 @@ def compress(
             rounding = math.sqrt(max(asked**2 - predicted**2, 0.01 * asked**2))
         step, rounding = _rounding_step(problem, clusters, bases, rounding, transfer.seed)
         predicted = math.hypot(predicted, rounding)
-        bases, coefficients = _rounded(bases, coefficients, step)
-    seconds = {**transfer.seconds, "compress": time.perf_counter() - started}
+        bases, coefficients = _rounded(problem, clusters, bases, step)
+    else:
+        kind = np.float16 if coding == "float16" else np.float32
+        coefficients = tuple(
+            b.project(problem.of(members)).astype(kind) for b, members in zip(bases, clusters.members, strict=True)
+        )
+    own = transfer.environment
     return CompressedTransfer(
         transfer.mesh,
         transfer.parts,
@@ -362,16 +386,19 @@ def compress(
         label,
         bases,
         clusters,
+        channels,
         coefficients,
         coding,
         step,
         predicted,
         transfer.effects,
+        transfer.bounces,
         transfer.samples,
         transfer.seed,
         transfer.rays_traced,
-        seconds,
+        {**transfer.seconds, "compress": time.perf_counter() - started},
         transfer.source,
+        None if own is None else project_environment(own, transfer.bandlimit),
     )
 
 
@@ -386,22 +413,23 @@ def _rounding_step(
     if energy == 0.0:
         return 1.0, 0.0  # nothing but zeros: any step does
     sampled = [
-        b.project(problem.vectors[members[chosen[members]]]) for b, members in zip(bases, clusters.members, strict=True)
+        b.project(problem.of(members[chosen[members]])) for b, members in zip(bases, clusters.members, strict=True)
     ]
     return codec.step_for(sampled, error * error * energy), error
 
 
 def _rounded(
-    bases: tuple[LinearBasis, ...], coefficients: tuple[NDArray, ...], step: float
+    problem: Problem, clusters: Clusters, bases: tuple[LinearBasis, ...], step: float
 ) -> tuple[tuple[LinearBasis, ...], tuple[NDArray, ...]]:
-    """Coefficients as they are decoded, without the trailing functions of each cap that round to zero everywhere."""
+    """Coefficients as multiples of the step, without those last functions of each cap that round to zero everywhere."""
     kept, values = [], []
-    for basis, exact in zip(bases, coefficients, strict=True):
-        quantised = codec.quantise(exact, step)
+    channels = problem.vectors.shape[1]
+    for basis, members in zip(bases, clusters.members, strict=True):
+        quantised = codec.quantise(basis.project(problem.of(members)), step)
         used = np.flatnonzero(quantised.any(axis=0))
-        count = int(used[-1]) + 1 if used.size else min(1, basis.count)
+        count = int(used[-1]) // channels + 1 if used.size else min(1, basis.count)
         kept.append(basis.first(count))
-        values.append((quantised[:, :count] * np.float32(step)).astype(np.float32))
+        values.append(np.ascontiguousarray(quantised[:, : count * channels]))
     return tuple(kept), tuple(values)
 
 

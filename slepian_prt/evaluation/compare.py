@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 import slepian_prt
 from slepian_prt.compression.clusters import cluster_normals
@@ -23,8 +23,9 @@ from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices
 from slepian_prt.relighting.picture import Camera, Picture, trace_camera
 from slepian_prt.relighting.relight import negative_part, relight
 from slepian_prt.scene.environments import Environment, project_environment
-from slepian_prt.scene.scenes import open_scene
+from slepian_prt.scene.loading import open_scene
 from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import Transfer, precompute
 
 DEFAULT_BASES = ("adapted", "transport", "slepian", "incident", "sh", "cpca")
@@ -111,6 +112,7 @@ class Comparison:
                 }
                 for view in self.views
             },
+            "bounces": self.transfer.bounces,
             "effects": [effect.as_dict() for effect in self.transfer.effects],
             "rays_traced": self.transfer.rays_traced,
             "seconds": {**self.transfer.seconds, "total": self.seconds},
@@ -137,10 +139,14 @@ def compare(
     clusters: int = 96,
     bases: Sequence[str] = DEFAULT_BASES,
     terms: Sequence[int] = DEFAULT_TERMS,
+    effects: str = "auto",
+    bounces: int | None = None,
+    albedo: ArrayLike | None = None,
     seed: int = 0,
     width: int = 400,
     noise: float = 0.01,
     status: Status = lambda _: None,
+    on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Comparison:
     """Precompute a scene once and compress it in many ways.
@@ -148,8 +154,8 @@ def compare(
     Parameters
     ----------
     scene : path
-    environments : at least one
-    bandlimit, samples, clusters, seed : as `precompute` and `compress`
+    environments : maps; without any, the light of a Mitsuba scene itself
+    bandlimit, samples, clusters, effects, bounces, albedo, seed, on_plan : as `precompute` and `compress`
     bases, terms : every basis is tried with every number of terms that the bandlimit allows
     width : of the pictures
     noise : wanted relative RMS noise of the path-traced references
@@ -160,8 +166,8 @@ def compare(
     ------
     UserError, ValueError
     """
-    if not environments:
-        raise UserError("environments must hold at least one, not 0")
+    if not environments and Path(scene).suffix.lower() != ".xml":
+        raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
     size = num_coefficients(bandlimit)
@@ -170,20 +176,34 @@ def compare(
     wanted = sorted({k for k in terms if k <= size}) or [size]
     started = time.perf_counter()
     status("transport")
-    transfer = precompute(scene, bandlimit, samples, seed=seed, advance=advance)
+    transfer = precompute(
+        scene,
+        bandlimit,
+        samples,
+        effects=effects,
+        bounces=bounces,
+        albedo=albedo,
+        seed=seed,
+        on_plan=on_plan,
+        advance=advance,
+    )
+    if not environments:
+        if transfer.environment is None:
+            raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
+        environments = [transfer.environment]
     grouped = cluster_normals(transfer.normals, clusters)
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]
-    with open_scene(scene) as (mi, opened):
+    with open_scene(scene, albedo=albedo) as (mi, opened):
         status("camera")
         camera = trace_camera(mi, opened, width)
         views = []
         for environment, radiance in zip(environments, full, strict=True):
             status(f"path-traced reference under {environment.name}")
-            reference = render_reference(mi, opened, environment, width=width, noise=noise)
+            reference = render_reference(mi, opened, environment, width=width, noise=noise, bounces=transfer.bounces)
             reference = replace(reference, picture=camera.masked(reference.picture))
             status(f"reference at the vertices under {environment.name}")
-            vertices = vertex_reference(mi, opened, environment, noise=noise)
+            vertices = vertex_reference(mi, opened, environment, noise=noise, bounces=transfer.bounces)
             interpolated = camera.picture(vertices.radiance)
             views.append(View(environment, reference, vertices, interpolated, camera.picture(radiance)))
     shown = min(wanted, key=lambda k: abs(k - 16))
@@ -241,7 +261,7 @@ def _measure(
         packed.coding,
         packed.terms,
         packed.bytes_per_vertex,
-        relative_rms(packed.reconstruct(), transfer.vectors[:, 0]),
+        relative_rms(packed.reconstruct().ravel(), transfer.vectors.ravel()),
         packed.predicted_error,
         relit_error,
         image_error,

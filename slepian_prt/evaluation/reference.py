@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.relighting.picture import Picture, split_alpha
 from slepian_prt.scene.environments import Environment
-from slepian_prt.scene.scenes import RAY_OFFSET, Scene, mitsuba_scene, sensor
+from slepian_prt.scene.scenes import Scene, mitsuba_scene, sensor
 
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
@@ -58,14 +58,14 @@ def render_reference(
     width: int = 512,
     noise: float = 0.005,
     largest_samples: int = 512,
-    depth: int = 2,
+    bounces: int = 0,
 ) -> ReferencePicture:
     """Path-trace the scene until the noise of the picture is below ``noise`` (relative RMS), or to the largest count.
 
-    ``depth`` is Mitsuba's path length: 2 is direct light only, as the transfer has it.
+    ``bounces`` of light between surfaces are followed, as many as the transfer has.
     """
     started = time.perf_counter()
-    integrator = mi.load_dict({"type": "path", "max_depth": depth, "hide_emitters": True})
+    integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
     emitter = mi.load_dict(environment_emitter(mi, environment))
 
     def half(samples: int, seed: int) -> NDArray[np.float64]:
@@ -85,8 +85,11 @@ def vertex_reference(
     *,
     noise: float = 0.005,
     largest_samples: int = 2048,
+    bounces: int = 0,
 ) -> ReferenceVertices:
-    """Direct radiance at the vertices by light sampling and cosine sampling, combined by the balance heuristic.
+    """Radiance at the vertices by light sampling and cosine sampling, combined by the balance heuristic.
+
+    What the cosine samples see of other surfaces is path-traced by Mitsuba, with one bounce less.
 
     Uses the same ray origins as the transfer, so that what differs from full SH is the bandlimit (and sampling).
     """
@@ -94,7 +97,7 @@ def vertex_reference(
     lit = mitsuba_scene(mi, scene, emitter=environment_emitter(mi, environment))
 
     def half(samples: int, seed: int) -> NDArray[np.float64]:
-        return _sample_vertices(mi, scene, lit, samples, seed)
+        return _sample_vertices(mi, scene, lit, samples, seed, bounces)
 
     first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values)
     radiance = (0.5 * (first + second) * scene.mesh.albedo).astype(np.float32)
@@ -121,12 +124,10 @@ def _converge(
         samples, seed = min(largest, max(2 * per_half, 4 * samples)), seed + 2
 
 
-def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int) -> NDArray[np.float64]:
+def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int, bounces: int) -> NDArray[np.float64]:
     """(V, 3) estimates for unit albedo, ``samples`` light and ``samples`` cosine samples per vertex."""
     import drjit as dr
 
-    low, high = scene.traced_bounds
-    offset = RAY_OFFSET * float(np.linalg.norm(high - low))
     count = len(scene.mesh.positions)
     total = np.zeros((count, 3))
     rng = np.random.default_rng(seed)
@@ -135,7 +136,7 @@ def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int) -
         chosen = slice(begin, min(begin + block, count))
         size = chosen.stop - chosen.start
         normals = scene.mesh.normals[chosen]
-        origins = scene.traced_positions[chosen] + offset * normals
+        origins = scene.traced_positions[chosen] + scene.ray_offsets[chosen, None] * normals
         origin, normal = mi.Point3f(origins.T.astype(np.float32)), mi.Normal3f(normals.T.astype(np.float32))
         lane = dr.arange(mi.UInt32, size * samples)
         vertex = lane // dr.opaque(mi.UInt32, samples)
@@ -171,10 +172,24 @@ def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int) -
         open_sky &= ~lit.ray_test(ray, open_sky)
         value += dr.select(open_sky, emitter.eval(sky) * (cosine_pdf / (cosine_pdf + light_pdf)), 0.0)
 
+        if bounces > 0:
+            value += _indirect(mi, lit, ray, valid & (local.z > 0.0) & ~open_sky, bounces, seed + begin)
+
         summed = dr.zeros(mi.Color3f, size)
         dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(value), vertex)
         total[chosen] = np.array(summed).T / samples
     return total
+
+
+def _indirect(mi: Any, lit: Any, ray: Any, hits: Any, bounces: int, seed: int) -> Any:
+    """Radiance that surfaces send back along rays that hit them."""
+    import drjit as dr
+
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, dr.width(ray))
+    integrator = mi.load_dict({"type": "path", "max_depth": bounces + 1})
+    radiance, _, _ = integrator.sample(lit, sampler, mi.RayDifferential3f(ray), active=hits)
+    return dr.select(hits, radiance, 0.0)
 
 
 def _half_noise(first: NDArray, second: NDArray) -> float:

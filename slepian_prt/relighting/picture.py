@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from slepian_prt.compression.archive import atomic_output
 from slepian_prt.errors import UserError
-from slepian_prt.scene.scenes import Scene, mitsuba_scene, sensor
+from slepian_prt.scene.scenes import Scene, sensor
 from slepian_prt.scene.variants import bitmap_module
 
 _SEED = 17
@@ -66,7 +66,7 @@ def trace_camera(mi: Any, scene: Scene, width: int = 512, strata: int = 5) -> Ca
     import drjit as dr
 
     view = sensor(mi, scene, width)
-    geometry = mitsuba_scene(mi, scene)
+    geometry = scene.geometry(mi)
     columns, rows = (int(n) for n in view.film().size())
     reconstruction = view.film().rfilter()
     radius = float(reconstruction.radius())

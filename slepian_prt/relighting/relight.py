@@ -35,7 +35,9 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
         raise UserError(f"lighting must have shape {wanted} for bandlimit {transfer.bandlimit}, not {light.shape}")
     if isinstance(transfer, CompressedTransfer):
         return transfer.radiance(light)
-    return (transfer.vectors[:, 0] @ light.T.astype(np.float32)) * transfer.mesh.albedo
+    if transfer.vectors.shape[1] == 1:
+        return (transfer.vectors[:, 0] @ light.T.astype(np.float32)) * transfer.mesh.albedo
+    return np.einsum("vcm,cm->vc", transfer.vectors, light.astype(np.float32)) * transfer.mesh.albedo
 
 
 def negative_part(radiance: NDArray) -> float:

@@ -21,21 +21,23 @@ _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "trimesh", "OpenEXR")
 _SPEED = """
 import json, sys, time
 from slepian_prt.scene.variants import mitsuba
-from slepian_prt.scene.scenes import open_scene
+from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import make_mesh
-from slepian_prt.transport.visibility import blocked_fraction
+from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.visibility import VisibilityTracer
 import numpy as np, trimesh
 ball = trimesh.creation.icosphere(6)
 radius = 1 + 0.1 * np.sin(9 * ball.vertices).prod(axis=1)
 with open_scene(make_mesh(ball.vertices * radius[:, None], ball.faces)) as (mi, scene):
     chosen = np.arange(0, len(ball.vertices), 4)
-    blocked_fraction(mi, scene, chosen, 256, 0)
-    times = []
-    for seed in range(3):
-        begin = time.perf_counter()
-        blocked_fraction(mi, scene, chosen, 256, seed)
-        times.append(time.perf_counter() - begin)
-    print(json.dumps({"mrays": chosen.size * 256e-6 / sorted(times)[1]}))
+    tracer = VisibilityTracer(mi, scene, 0, direction_net(256), 0)
+    tracer.look(chosen)
+    rates = []
+    for _ in range(3):
+        begin, before = time.perf_counter(), tracer.rays
+        tracer.look(chosen)
+        rates.append((tracer.rays - before) * 1e-6 / (time.perf_counter() - begin))
+    print(json.dumps({"mrays": sorted(rates)[1]}))
 """
 
 

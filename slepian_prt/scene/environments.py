@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +25,9 @@ from slepian_prt.sphere.rotation import rotate_sh
 _NEGATIVE_TOLERANCE = 1e-3
 # Rows per degree below which bilinear interpolation matters, and is carried out.
 _ROWS_PER_DEGREE = 8
+
+# Grid that a sky without texels is evaluated on: rows, and strata each way per texel.
+_SKY_ROWS, _SKY_STRATA = 512, 4
 
 # Columns: where the map's frame (polar axis z, azimuth -2πu from x) goes in Mitsuba's world, y up.
 _MAP_TO_WORLD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
@@ -126,6 +130,43 @@ def make_environment(
     if height < 3:  # the smallest that Mitsuba takes
         image = _resampled(image, 3, max(width, 6))
     return Environment(name, image, np.eye(3), clamped)
+
+
+def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
+    """A Mitsuba environment emitter (``envmap``, ``constant``, ``sunsky``, …) as a map.
+
+    The texels of an ``envmap`` are taken as they are, with its scale and ``to_world``; others are averaged over each
+    texel of a fixed grid, finely enough that the sun keeps its power.
+    """
+    import drjit as dr
+
+    parameters = mi.traverse(emitter)
+    if emitter.class_name() == "EnvironmentMapEmitter":
+        # Mitsuba repeats the first column behind the last, and stores the map from pole to pole.
+        texels = np.array(parameters["data"])[:, :-1, :3] * float(np.ravel(parameters["scale"])[0])
+        world = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
+        made = make_environment(texels, name="scene", origin=f"{origin}: envmap", clamp_negative=True)
+        return replace(made, to_world=world / np.linalg.norm(world, axis=0))
+    height = 3 if emitter.class_name() == "ConstantBackgroundEmitter" else _SKY_ROWS
+    finer = 1 if height == 3 else _SKY_STRATA
+    width = 2 * height
+    # Row r is centred on v = r/(H-1), column c on (c + 1/2)/W; the first and last row are half cells at the poles.
+    row, column, i, j = np.meshgrid(
+        np.arange(height), np.arange(width), np.arange(finer), np.arange(finer), indexing="ij", sparse=True
+    )
+    v = np.clip((row + (i + 0.5) / finer - 0.5) / (height - 1), 0.0, 1.0)
+    u = (column + (j + 0.5) / finer) / width
+    theta, phi = v * np.pi, u * 2.0 * np.pi
+    shape = np.broadcast_shapes(row.shape, column.shape, i.shape, j.shape)
+    towards = [np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta)]
+    d = np.stack([np.broadcast_to(axis, shape).ravel() for axis in towards]).astype(np.float32)
+    si = dr.zeros(mi.SurfaceInteraction3f, d.shape[1])
+    si.wi = -mi.Vector3f(d)
+    radiance = np.array(emitter.eval(si)).T
+    radiance = np.broadcast_to(radiance, (d.shape[1], 3)).reshape(*shape, 3)
+    solid = np.broadcast_to(np.sin(theta), shape)[..., None]
+    texels = np.sum(radiance * solid, axis=(2, 3)) / np.maximum(np.sum(solid, axis=(2, 3)), 1e-30)
+    return make_environment(texels, name="scene", origin=f"{origin}: {emitter.class_name()}", clamp_negative=True)
 
 
 def project_environment(

@@ -9,6 +9,7 @@ the integers; they are a unit apart, so it is good to rounding at every degree (
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,7 +47,7 @@ def rotation_to(center: ArrayLike) -> NDArray[np.float64]:
     return matrices[0] if np.ndim(center) == 1 else matrices
 
 
-def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[np.float64]:
+def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[Any]:
     """Coefficients of ω ↦ f(Rᵀω), given those of f.
 
     Parameters
@@ -58,14 +59,16 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[np.float6
 
     Returns
     -------
-    (..., (L+1)²) float64
+    (..., (L+1)²) float64, or float32 if that is what the coefficients are.
 
     Raises
     ------
     ValueError
         A last axis that is not a square number, or a matrix that is no rotation (beyond 1e-6).
     """
-    c = np.asarray(coefficients, dtype=np.float64)
+    c = np.asarray(coefficients)
+    dtype = np.dtype(np.float32 if c.dtype == np.float32 else np.float64)
+    c = c.astype(dtype, copy=False)
     r = np.asarray(rotation, dtype=np.float64)
     bandlimit = round(np.sqrt(c.shape[-1])) - 1 if c.ndim else -1
     if c.ndim == 0 or num_coefficients(bandlimit) != c.shape[-1]:
@@ -74,11 +77,11 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[np.float6
     shape = np.broadcast_shapes(c.shape[:-1], alpha.shape)
     alpha, beta, gamma = (np.broadcast_to(angle, shape) for angle in (alpha, beta, gamma))
     c = np.broadcast_to(c, (*shape, c.shape[-1]))
-    turn_alpha, turn_beta, turn_gamma = (_cos_sin_multiples(bandlimit, angle) for angle in (alpha, beta, gamma))
-    out = np.empty(c.shape)
+    turn_alpha, turn_beta, turn_gamma = (_cos_sin_multiples(bandlimit, angle, dtype) for angle in (alpha, beta, gamma))
+    out = np.empty(c.shape, dtype)
     for l in range(bandlimit + 1):
         degree = slice(l * l, (l + 1) ** 2)
-        about_y = _to_y_axis(l)
+        about_y = _to_y_axis(l).astype(dtype, copy=False)
         v = _turn(c[..., degree], turn_gamma)
         v = _turn(v @ about_y.T, turn_beta) @ about_y
         out[..., degree] = _turn(v, turn_alpha)
@@ -97,8 +100,8 @@ def _turn(v: NDArray, cos_sin: tuple[NDArray, NDArray]) -> NDArray:
     return out
 
 
-def _cos_sin_multiples(bandlimit: int, angle: NDArray) -> tuple[NDArray, NDArray]:
-    multiples = angle[..., None] * np.arange(bandlimit + 1)
+def _cos_sin_multiples(bandlimit: int, angle: NDArray, dtype: np.dtype) -> tuple[NDArray, NDArray]:
+    multiples = (angle[..., None] * np.arange(bandlimit + 1)).astype(dtype, copy=False)
     return np.cos(multiples), np.sin(multiples)
 
 

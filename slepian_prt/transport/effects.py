@@ -7,14 +7,24 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from slepian_prt.errors import UserError
 from slepian_prt.scene.scenes import Scene
-from slepian_prt.transport.visibility import blocked_fraction, shadowed_vertices
+from slepian_prt.slepian.kernels import cosine_lobe
+from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.interreflection import GATHER_SHARE, gather_operator
+from slepian_prt.transport.visibility import VisibilityTracer, nodes_for, shadowed_vertices
 
 SIMULATED, OMITTED, NOT_SIMULATED = "simulated", "omitted", "not simulated"
+EFFECTS = ("shadows", "interreflection", "colour")
+
+# An effect that changes less than this part of the received light is left out.
+TOLERANCE = 0.005
 
 _PILOT_VERTICES = 256
-_PILOT_RAYS = 256
+_PILOT_NODES = 256
+_CONFIDENCE = 1.96  # standard errors to either side: 95 %
 
 
 @dataclass(frozen=True)
@@ -25,11 +35,15 @@ class Effect:
     ----------
     name : str
     verdict : str
-        ``simulated``; ``omitted`` because it contributes nothing; or ``not simulated``, which this method cannot do.
+        ``simulated``; ``omitted`` because it contributes too little or was not asked for; or ``not simulated``, which
+        this method (or this scene) cannot do.
     contribution : float or None
-        Estimated part of the received light that it changes, where that can be told.
+        Part of the received light, in the mean over the surface under a constant environment, that simulating it
+        changes; for interreflection at most. None where it is not known.
     confidence : float or None
         Half-width of the 95 % confidence interval of ``contribution``.
+    rays : int
+        Expected cost of simulating it, in rays.
     reason : str
     """
 
@@ -37,44 +51,239 @@ class Effect:
     verdict: str
     contribution: float | None
     confidence: float | None
+    rays: int
     reason: str
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
-def plan_effects(mi: Any, scene: Scene, seed: int = 0) -> tuple[Effect, ...]:
-    """Decide what to simulate, from exact geometric tests and a pilot of a few hundred vertices."""
-    shadowed = np.flatnonzero(shadowed_vertices(scene))
-    receivers = int(scene.mesh.receivers.sum())
-    if shadowed.size == 0:
-        blocked, half_width = 0.0, 0.0
-        reason = "convex: nothing reaches above any vertex's tangent plane, so no ray is traced"
-        rows = [Effect("shadows", OMITTED, 0.0, 0.0, reason)]
-    else:
-        rng = np.random.default_rng(seed)
-        pilot = rng.choice(shadowed, min(_PILOT_VERTICES, shadowed.size), replace=False)
-        fractions = blocked_fraction(mi, scene, pilot, _PILOT_RAYS, seed) * (shadowed.size / receivers)
-        blocked = float(fractions.mean())
-        half_width = 1.96 * float(fractions.std()) / math.sqrt(pilot.size)
-        reason = f"{shadowed.size} of {receivers} vertices can be shadowed; the others need no rays"
-        rows = [Effect("shadows", SIMULATED, blocked, half_width, reason)]
-    albedo = float(scene.mesh.albedo[scene.mesh.receivers].max(initial=0.0))
-    if blocked * albedo == 0.0:
-        rows.append(Effect("interreflection", OMITTED, 0.0, 0.0, "no blocked direction sees a surface that reflects"))
-    else:
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to simulate.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        The rows that are shown and stored.
+    shadowed : (n,)
+        Vertices to trace visibility for.
+    nodes : int
+        Directions that each of them looks in at first.
+    interreflection : bool
+    channels : 1 or 3
+    """
+
+    effects: tuple[Effect, ...]
+    shadowed: NDArray[np.int64]
+    nodes: int
+    interreflection: bool
+    channels: int
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """A mean over the surface with the half-width of its confidence interval."""
+
+    mean: float
+    half_width: float
+
+    @classmethod
+    def of(cls, values: NDArray, share: float) -> _Estimate:
+        """From values at a random pilot of the vertices that make up ``share`` of all; they are 0 at the others."""
+        if values.size == 0:
+            return cls(0.0, 0.0)
+        return cls(share * float(values.mean()), share * _CONFIDENCE * float(values.std()) / math.sqrt(values.size))
+
+
+def check_effects(effects: str) -> None:
+    """Raise UserError unless this is ``auto``, ``direct``, ``all``, ``none`` or a list of effects."""
+    if effects in ("auto", "direct", "all", "none"):
+        return
+    named = effects.split(",") if isinstance(effects, str) else [effects]
+    for name in named:
+        if name not in EFFECTS:
+            raise UserError(
+                f"effects must be auto, direct, all, none, or some of {', '.join(EFFECTS)} with commas between; not "
+                f"{effects!r}"
+            )
+    for name, needed in (("interreflection", "shadows"), ("colour", "interreflection")):
+        if name in named and needed not in named:
+            raise UserError(f"effects: {name} needs {needed}; add it, as in --effects {needed},{','.join(named)}")
+
+
+def plan_effects(mi: Any, scene: Scene, bandlimit: int, samples: int, effects: str = "auto", seed: int = 0) -> Plan:
+    """Decide what to simulate, from exact geometric tests and a pilot of a few hundred vertices.
+
+    Parameters
+    ----------
+    mi : Mitsuba
+    scene : Scene
+    bandlimit, samples : as `precompute`
+    effects : str
+        ``auto``; ``direct`` (shadows only); ``all``; ``none``; or effects by name, with commas between.
+    seed : int
+
+    Raises
+    ------
+    UserError
+        Unknown effects.
+    """
+    check_effects(effects)
+    forced = {"auto": None, "direct": {"shadows"}, "all": set(EFFECTS), "none": set()}.get(effects)
+    if effects not in ("auto", "direct", "all", "none"):
+        forced = set(effects.split(","))
+    receivers = np.flatnonzero(scene.mesh.receivers)
+    possible = np.flatnonzero(shadowed_vertices(scene))
+    pilot = _look(mi, scene, possible, receivers.size, bandlimit, seed)
+    rows, shadowed, nodes = _shadows(pilot, possible, receivers, samples, forced)
+    interreflection, row = _interreflection(scene, pilot, possible.size, samples, forced, effects)
+    rows.append(row)
+    channels, row = _colour(scene, pilot, interreflection, forced, effects)
+    rows.append(row)
+    if interreflection and pilot.backs > TOLERANCE and any(scene.two_sided):
         rows.append(
             Effect(
-                "interreflection",
+                "light reflected by the backs of surfaces",
                 NOT_SIMULATED,
-                albedo * blocked,
-                albedo * half_width,
-                "direct light only; the contribution is a bound, albedo x blocked part",
+                pilot.backs,
+                None,
+                0,
+                "vertices carry light on their front only",
             )
         )
-    rows.append(Effect("colour", OMITTED, 0.0, 0.0, "direct light: one channel, the albedo applied when relighting"))
+    rows.append(_tail(pilot, bandlimit))
     rows += [
-        Effect(what, NOT_SIMULATED, None, None, "only diffuse reflection of distant light is simulated")
+        Effect(what, NOT_SIMULATED, None, None, 0, "only reflection of distant light by diffuse surfaces is simulated")
         for what in scene.not_simulated
     ]
-    return tuple(rows)
+    return Plan(tuple(rows), shadowed, nodes, interreflection, channels)
+
+
+@dataclass(frozen=True)
+class _Pilot:
+    """What a few hundred vertices see.
+
+    Attributes
+    ----------
+    blocked, reflecting, tint : _Estimate
+        Parts of the hemisphere, cosine-weighted: that show surfaces; the same, times the albedo of what is seen; and
+        the largest difference between colour channels of that.
+    backs : float
+        The part that shows the backs of receivers.
+    changes : float
+        Edges of the net along which visibility changes, over the root of its nodes.
+    tail : float
+        Part of the energy of the transfer that lies in degrees above the bandlimit.
+    """
+
+    blocked: _Estimate
+    reflecting: _Estimate
+    tint: _Estimate
+    backs: float
+    changes: float
+    tail: float
+
+
+def _look(mi: Any, scene: Scene, possible: NDArray, receivers: int, bandlimit: int, seed: int) -> _Pilot:
+    nothing = _Estimate(0.0, 0.0)
+    if possible.size == 0:
+        return _Pilot(nothing, nothing, nothing, 0.0, 0.0, _tail_of_cosine(bandlimit))
+    chosen = np.random.default_rng(seed).choice(possible, min(_PILOT_VERTICES, possible.size), replace=False)
+    share = possible.size / receivers
+    net = direction_net(_PILOT_NODES)
+    tracer = VisibilityTracer(mi, scene, bandlimit, net, seed)
+    fractions, energy, kept = tracer.survey(chosen)
+    gather = gather_operator(mi, scene, _PILOT_NODES, chosen, None, seed)
+    seen = gather.weights @ scene.mesh.albedo.astype(np.float64)
+    return _Pilot(
+        _Estimate.of(fractions, share),
+        _Estimate.of(seen.max(axis=1), share),
+        _Estimate.of(np.ptp(seen, axis=1), share),
+        share * gather.backs,
+        tracer.changes / chosen.size / math.sqrt(net.size),
+        max(0.0, 1.0 - kept / energy) if energy > 0.0 else 0.0,
+    )
+
+
+def _shadows(
+    pilot: _Pilot, possible: NDArray, receivers: NDArray, samples: int, forced: set[str] | None
+) -> tuple[list[Effect], NDArray, int]:
+    nodes = nodes_for(samples, pilot.changes)
+    rays = round(possible.size * (nodes + 2.0 * pilot.changes * math.sqrt(nodes)))
+    blocked = pilot.blocked
+    if forced is not None and "shadows" not in forced:
+        row = Effect("shadows", OMITTED, blocked.mean, blocked.half_width, rays, "not asked for")
+        return [row], np.zeros(0, dtype=np.int64), nodes
+    if forced is not None and "interreflection" in forced and possible.size == 0:
+        reason = "asked for; nothing reaches above any vertex's tangent plane, so no ray can be blocked"
+        rays = receivers.size * nodes
+        return [Effect("shadows", SIMULATED, 0.0, 0.0, rays, reason)], receivers, nodes
+    if possible.size == 0:
+        reason = "convex: nothing reaches above any vertex's tangent plane, so no ray is traced"
+        return [Effect("shadows", OMITTED, 0.0, 0.0, 0, reason)], possible, nodes
+    reason = f"{possible.size} of {receivers.size} vertices can be shadowed; the others need no rays"
+    return [Effect("shadows", SIMULATED, blocked.mean, blocked.half_width, rays, reason)], possible, nodes
+
+
+def _interreflection(
+    scene: Scene, pilot: _Pilot, possible: int, samples: int, forced: set[str] | None, effects: str
+) -> tuple[bool, Effect]:
+    """Radiance never exceeds that of a constant environment, so indirect light is at most what is seen, times ρ."""
+    direct, most = 1.0 - pilot.blocked.mean, pilot.reflecting.mean
+    bound = half_width = 0.0
+    if most > 0.0:
+        bound = most / (most + direct)
+        half_width = (direct * pilot.reflecting.half_width + most * pilot.blocked.half_width) / (most + direct) ** 2
+    rays = round(possible * max(1.0, GATHER_SHARE * samples))
+
+    def row(verdict: str, reason: str) -> Effect:
+        return Effect("interreflection", verdict, bound, half_width, rays, reason)
+
+    if forced is not None and "interreflection" not in forced:
+        return False, row(OMITTED, f"not asked for (--effects {effects})")
+    if forced is not None:
+        return True, row(SIMULATED, "asked for")
+    if most == 0.0:
+        reason = "no blocked direction sees a surface that reflects"
+        return False, Effect("interreflection", OMITTED, 0.0, 0.0, 0, reason)
+    if not scene.has_materials:
+        reason = "a mesh file says nothing about its albedo; --albedo sets it (this bound is for an albedo of 1)"
+        return False, row(OMITTED, reason)
+    if bound + half_width < TOLERANCE:
+        return False, row(OMITTED, f"at most {bound + half_width:.1%} of the light")
+    return True, row(SIMULATED, "blocked directions see surfaces that reflect; the contribution is a bound")
+
+
+def _colour(
+    scene: Scene, pilot: _Pilot, interreflection: bool, forced: set[str] | None, effects: str
+) -> tuple[int, Effect]:
+    tint = pilot.tint
+
+    def row(verdict: str, reason: str) -> Effect:
+        return Effect("colour", verdict, tint.mean, tint.half_width, 0, reason)
+
+    if not interreflection:
+        reason = "direct light: one channel, the albedo applied when relighting"
+        return 1, Effect("colour", OMITTED, 0.0, 0.0, 0, reason)
+    if forced is not None and "colour" in forced:
+        return 3, row(SIMULATED, "asked for: three channels")
+    if forced is not None:
+        return 1, row(OMITTED, f"not asked for (--effects {effects}); the first channel stands for all")
+    gray = bool(np.ptp(scene.mesh.albedo, axis=1).max(initial=0.0) == 0.0)
+    if gray or tint.mean + tint.half_width < TOLERANCE:
+        return 1, row(OMITTED, "surfaces reflect all channels alike onto each other: one channel")
+    return 3, row(SIMULATED, "surfaces of different colours light each other: three channels")
+
+
+def _tail(pilot: _Pilot, bandlimit: int) -> Effect:
+    amount = math.sqrt(pilot.tail)
+    reason = f"relative RMS of the transfer beyond bandlimit {bandlimit}; smooth light meets less of it"
+    return Effect(f"degrees above {bandlimit}", OMITTED, amount, None, 0, reason)
+
+
+def _tail_of_cosine(bandlimit: int) -> float:
+    """Part of the clamped cosine's energy above the bandlimit."""
+    l = np.arange(bandlimit + 1)
+    kept = float(np.sum(cosine_lobe(bandlimit) ** 2 * (2 * l + 1) / (4.0 * math.pi)))
+    return max(0.0, 1.0 - kept / (2.0 / (3.0 * math.pi)))

@@ -9,18 +9,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit
+from slepian_prt.scene.environments import Environment
+from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import Mesh
-from slepian_prt.scene.scenes import Part, open_scene
-from slepian_prt.transport.effects import Effect, plan_effects
+from slepian_prt.scene.scenes import Part
+from slepian_prt.transport.effects import Effect, check_effects, plan_effects
+from slepian_prt.transport.interreflection import GATHER_SHARE, bounced, count_bounces, gather_operator
 from slepian_prt.transport.visibility import shadowed_transfer
 
 log = logging.getLogger(__name__)
 
 LARGEST_BANDLIMIT = 50
-LARGEST_SAMPLES = 1 << 20
+LARGEST_SAMPLES = 1 << 16
+LARGEST_BOUNCES = 1000
 
 # Blocked part of the light beyond which a mesh is more likely inside out than meant.
 _NEARLY_ALL = 0.97
@@ -33,16 +37,21 @@ class Transfer:
     Attributes
     ----------
     vectors : (V, channels, (L+1)²) float32
-        Real SH coefficients of the transfer function, for unit albedo.
+        Real SH coefficients of the transfer function, for unit albedo of the receiver. One channel stands for all
+        three where surfaces do not tint each other's light.
     mesh : Mesh
     parts : tuple of Part
     bandlimit, samples, seed : int
     effects : tuple of Effect
+    bounces : int
+        Of light between surfaces.
     rays_traced : int
     seconds : dict of str to float
         Wall-clock time of each stage.
     source : str
         Path of the scene.
+    environment : Environment or None
+        The scene's own distant light.
     """
 
     vectors: NDArray[np.float32]
@@ -52,9 +61,11 @@ class Transfer:
     samples: int
     seed: int
     effects: tuple[Effect, ...]
+    bounces: int
     rays_traced: int
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
+    environment: Environment | None = None
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -72,18 +83,28 @@ def precompute(
     bandlimit: int = 10,
     samples: int = 1024,
     *,
+    effects: str = "auto",
+    bounces: int | None = None,
+    albedo: ArrayLike | None = None,
     seed: int = 0,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Transfer:
-    """Transfer vectors of every vertex for direct, shadowed, diffuse light.
+    """Transfer vectors of every vertex for distant light and diffuse surfaces.
 
     Parameters
     ----------
     scene : path of a mesh (ply, obj, stl, off, glb) or Mitsuba scene (xml), or a `Mesh`
     bandlimit : int in [0, 50]
     samples : int
-        Rays per vertex over the hemisphere; vertices that nothing can shadow get none.
+        Rays per vertex over the hemisphere, on average; vertices that nothing can shadow get none.
+    effects : str
+        ``auto`` simulates what the scene calls for; ``direct`` shadows only; ``all``; ``none``; or some of shadows,
+        interreflection, colour, with commas between.
+    bounces : int, optional
+        Of light between surfaces, where that is simulated. By default until the rest is less than a thousandth.
+    albedo : one or three numbers in [0, 1], optional
+        Of a mesh file, which says nothing about it.
     seed : int
         The same seed gives the same bits.
     on_plan : callable
@@ -96,40 +117,83 @@ def precompute(
     UserError
         The scene cannot be used, or no LLVM for Mitsuba works here.
     ValueError
-        Bandlimit or samples out of range.
+        Bandlimit, samples, bounces or effects out of range.
     """
     bandlimit = check_bandlimit(bandlimit, largest=LARGEST_BANDLIMIT)
-    if not isinstance(samples, int | np.integer) or not 1 <= samples <= LARGEST_SAMPLES:
-        raise UserError(f"samples must be an integer in [1, {LARGEST_SAMPLES}], not {samples!r}")
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise UserError(f"seed must be a non-negative integer, not {seed!r}")
-    started = time.perf_counter()
-    with open_scene(scene) as (mi, opened):
+    _check_count(samples, "samples", 1, LARGEST_SAMPLES)
+    _check_count(seed, "seed", 0, None)
+    if bounces is not None:
+        _check_count(bounces, "bounces", 0, LARGEST_BOUNCES)
+    check_effects(effects)
+    clock = _Clock()
+    with open_scene(scene, albedo=albedo) as (mi, opened):
         if not opened.mesh.receivers.any():
             raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
-        loaded = time.perf_counter()
-        effects = plan_effects(mi, opened, seed)
-        on_plan(effects)
-        if effects[0].contribution is not None and effects[0].contribution > _NEARLY_ALL:
-            log.info(
-                "%s: %.0f %% of the light is blocked; if this is no closed room, its faces point inward: flip them",
-                opened.path,
-                100.0 * effects[0].contribution,
+        clock.stop("load")
+        plan = plan_effects(mi, opened, bandlimit, int(samples), effects, seed)
+        on_plan(plan.effects)
+        _remark_on_closed(opened.path, plan.effects)
+        clock.stop("plan")
+        count = len(opened.mesh.positions)
+        total = count + (plan.shadowed.size if plan.interreflection else 0)
+        direct, blocked, rays = shadowed_transfer(
+            mi, opened, bandlimit, plan.nodes, plan.shadowed, seed, lambda done: advance(done, total)
+        )
+        clock.stop("transport")
+        vectors, taken = direct[:, None, :], 0
+        if plan.interreflection:
+            gather_nodes = max(1, round(GATHER_SHARE * samples))
+            gather = gather_operator(
+                mi, opened, gather_nodes, plan.shadowed, blocked, seed + 1, lambda done: advance(done, total)
             )
-        planned = time.perf_counter()
-        total = len(opened.mesh.positions)
-        vectors, rays = shadowed_transfer(mi, opened, bandlimit, int(samples), seed, lambda done: advance(done, total))
-        traced = time.perf_counter()
-        seconds = {"load": loaded - started, "plan": planned - loaded, "transport": traced - planned}
+            reflectance = opened.mesh.albedo
+            needed, _ = count_bounces(gather, reflectance, np.where(opened.mesh.receivers, 1.0 - blocked, 0.0))
+            taken = needed if bounces is None else int(bounces)
+            vectors = bounced(gather, reflectance, direct, plan.channels, taken)
+            rays += gather.rays
+            clock.stop("interreflection")
         return Transfer(
-            vectors[:, None, :],
+            vectors,
             opened.mesh,
             opened.parts,
             bandlimit,
             int(samples),
             seed,
-            effects,
+            plan.effects,
+            taken,
             rays,
-            seconds,
+            clock.seconds,
             opened.path,
+            opened.environment,
         )
+
+
+def _check_count(value: object, name: str, smallest: int, largest: int | None) -> None:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    good = whole and smallest <= value and (largest is None or value <= largest)  # type: ignore[operator]
+    if not good:
+        allowed = "a non-negative integer" if largest is None else f"an integer in [{smallest}, {largest}]"
+        raise UserError(f"{name} must be {allowed}, not {value!r}")
+
+
+def _remark_on_closed(path: str, effects: tuple[Effect, ...]) -> None:
+    blocked = effects[0].contribution
+    if blocked is not None and blocked > _NEARLY_ALL:
+        log.info(
+            "%s: %.0f %% of the light is blocked; if this is no closed room, its faces point inward: flip them",
+            path,
+            100.0 * blocked,
+        )
+
+
+class _Clock:
+    """Seconds between calls."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def stop(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage] = now - self._last
+        self._last = now

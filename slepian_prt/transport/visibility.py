@@ -2,30 +2,41 @@
 
 t_lm(x) = (1/π) ∫ V(x,ω) (n·ω)₊ y_lm(ω) dω  =  A_l y_lm(n) - (1/π) ∫ (1 - V) (n·ω)₊ y_lm dω
 
-The first part is exact; rays measure only what is blocked. All vertices share one cosine-distributed direction set
-in their own frames, each turned by its own angle about the normal, so the projection on spherical harmonics is one
-matrix product per block of vertices, followed by a rotation of each short vector into the world.
+The first part is exact; rays measure only what is blocked. All vertices share one net of directions in their own
+frames, each turned by its own angle about the normal so that the error does not band. Where the ends of an edge of
+the net disagree, visibility is bisected along it (`directions`). What a vertex then is the sum of are rows of tables,
+one matrix product and one sparse product per block of vertices, followed by a rotation of each vector into the world.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
+from threadpoolctl import threadpool_limits
 
 from slepian_prt.scene.meshes import morton
-from slepian_prt.scene.scenes import RAY_OFFSET, Scene, mitsuba_scene
+from slepian_prt.scene.scenes import Scene
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
-from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+from slepian_prt.transport.directions import QUARTERS, SMALLEST_NET, Net, direction_net
 
 # Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
 _RAYS_PER_BLOCK = 1 << 21
+
+# Open directions of a vertex that are few enough to be leaks, and how far beside them to look again, in radians.
+_LEAKS = 3
+_BESIDE = 1e-3
+
+# The constant harmonic's coefficient times this is the part of the hemisphere.
+_MEAN = np.float32(math.sqrt(4.0 * math.pi))
 
 Progress = Callable[[int], None]
 
@@ -33,9 +44,12 @@ Progress = Callable[[int], None]
 def unoccluded_transfer(bandlimit: int, normals: NDArray) -> NDArray[np.float32]:
     """A_l y_lm(n), shape (V, (L+1)²); zero where the normal is zero."""
     vectors = np.zeros((len(normals), num_coefficients(bandlimit)), dtype=np.float32)
-    lit = np.any(normals != 0.0, axis=1)
-    if lit.any():
-        vectors[lit] = real_sh(bandlimit, normals[lit]) * cosine_lobe(bandlimit)[degrees(bandlimit)]
+    lobe = cosine_lobe(bandlimit)[degrees(bandlimit)]
+    for begin in range(0, len(normals), 8192):
+        block = slice(begin, begin + 8192)
+        lit = np.any(normals[block] != 0.0, axis=1)
+        if lit.any():
+            vectors[block][lit] = real_sh(bandlimit, normals[block][lit]) * lobe
     return vectors
 
 
@@ -46,20 +60,19 @@ def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
     """
     positions, normals = scene.traced_positions, scene.mesh.normals
     corners = _hull_corners(scene)
-    diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     heights = np.empty(len(positions))
     for begin in range(0, len(positions), 4096):
         block = slice(begin, begin + 4096)
         reach = (normals[block] @ corners.T).max(axis=1)
         heights[block] = reach - np.einsum("ij,ij->i", normals[block], positions[block])
     # A vertex normal of a convex mesh is the mean over its faces; half the ray offset is far below what a ray sees.
-    return scene.mesh.receivers & (heights > 0.5 * RAY_OFFSET * diagonal)
+    return scene.mesh.receivers & (heights > 0.5 * scene.ray_offsets)
 
 
 def _hull_corners(scene: Scene) -> NDArray[np.float64]:
     """Vertices of the convex hull of the receivers, and the boxes of what else is there."""
     points = scene.traced_positions[scene.mesh.receivers]
-    for shape in scene.shapes[len(scene.parts) :]:
+    for shape in scene.occluders:
         box = shape.bbox()
         low, high = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
         corners = [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
@@ -71,8 +84,14 @@ def _hull_corners(scene: Scene) -> NDArray[np.float64]:
 
 
 def shadowed_transfer(
-    mi: Any, scene: Scene, bandlimit: int, samples: int, seed: int, advance: Progress = lambda _: None
-) -> tuple[NDArray[np.float32], int]:
+    mi: Any,
+    scene: Scene,
+    bandlimit: int,
+    nodes: int,
+    vertices: NDArray,
+    seed: int,
+    advance: Progress = lambda _: None,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], int]:
     """Transfer vectors of all vertices for direct, shadowed, diffuse light of unit albedo.
 
     Parameters
@@ -80,8 +99,9 @@ def shadowed_transfer(
     mi : Mitsuba, as yielded by `open_scene`
     scene : Scene
     bandlimit : int
-    samples : int
-        Rays per vertex, over the hemisphere.
+    nodes : int
+        Directions that every traced vertex looks in; see `nodes_for`.
+    vertices : indices of the vertices to trace; the others are taken to see all of their hemisphere
     seed : int
         Of the turns about the normals. The same seed gives the same bits.
     advance : callable
@@ -89,76 +109,214 @@ def shadowed_transfer(
 
     Returns
     -------
-    (V, (L+1)²) float32, and the number of rays traced.
+    (V, (L+1)²) float32 transfer vectors, (V,) float32 cosine-weighted blocked part of each hemisphere, and the
+    number of rays traced.
     """
     vectors = unoccluded_transfer(bandlimit, scene.mesh.normals)
-    todo = np.flatnonzero(shadowed_vertices(scene))
-    advance(len(vectors) - todo.size)
-    if todo.size == 0:
-        return vectors, 0
-    tracer = _Tracer(mi, scene, bandlimit, samples, seed)
-    block = max(1, _RAYS_PER_BLOCK // samples)
+    blocked = np.zeros(len(vectors), dtype=np.float32)
+    advance(len(vectors) - vertices.size)
+    if vertices.size == 0:
+        return vectors, blocked, 0
+    tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(nodes), seed)
+    block = max(1, _RAYS_PER_BLOCK // nodes)
     # Neighbours in space share the tracer's caches.
-    todo = todo[np.argsort(morton(scene.traced_positions[todo]), kind="stable")]
-    for begin in range(0, todo.size, block):
-        chosen = todo[begin : begin + block]
-        vectors[chosen] -= tracer.blocked(chosen)
-        advance(chosen.size)
-    return vectors, int(todo.size) * samples
+    vertices = vertices[np.argsort(morton(scene.traced_positions[vertices]), kind="stable")]
+
+    def project(chosen: NDArray, seen: Seen) -> None:
+        lost, closed = tracer.blocked(seen)
+        vectors[chosen] -= lost
+        vectors[chosen[closed]] = 0.0  # exactly, where nothing is seen but surfaces
+        blocked[chosen] = np.where(closed, 1.0, lost[:, 0] * _MEAN)
+
+    # One block is projected while the next is traced. BLAS gets one thread, because those that it keeps spinning
+    # after a product would take the cores from the tracer: that alone cost a quarter of the time.
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(1) as worker:
+        pending: Future[None] | None = None
+        for begin in range(0, vertices.size, block):
+            chosen = vertices[begin : begin + block]
+            seen = tracer.look(chosen)
+            if pending is not None:
+                pending.result()
+            pending = worker.submit(project, chosen, seen)
+            advance(chosen.size)
+        if pending is not None:
+            pending.result()
+    return vectors, blocked, tracer.rays
 
 
-def blocked_fraction(mi: Any, scene: Scene, vertices: NDArray, samples: int, seed: int) -> NDArray[np.float64]:
-    """Cosine-weighted part of the hemisphere that is blocked at each of the given vertices, (n,)."""
-    tracer = _Tracer(mi, scene, 0, samples, seed)
-    return tracer.blocked(vertices)[:, 0].astype(np.float64) * math.sqrt(4.0 * math.pi)
+def nodes_for(samples: float, changes: float) -> int:
+    """Size of the net with which a vertex gets ``samples`` rays on average.
+
+    ``changes`` is the number of edges along which visibility changes, measured on a net, over the root of its size:
+    the boundary of visibility is a curve. Each costs two rays.
+    """
+    root = -changes + math.sqrt(changes * changes + samples)
+    return max(SMALLEST_NET, int(root * root))
 
 
-class _Tracer:
-    """Everything that blocks of vertices share: the scene in Mitsuba, the direction set and its harmonics."""
+class HemisphereRays:
+    """Rays from vertices along the directions of a net, each vertex in its own frame.
 
-    def __init__(self, mi: Any, scene: Scene, bandlimit: int, samples: int, seed: int) -> None:
-        self.mi = mi
-        self.geometry = mitsuba_scene(mi, scene)
-        low, high = scene.traced_bounds
-        self.offset = RAY_OFFSET * float(np.linalg.norm(high - low))
-        self.positions, self.normals = scene.traced_positions, scene.mesh.normals
-        self.samples = samples
-        directions = hemisphere_fibonacci(samples)
-        # Rays that are traced together should run together: a fifth more rays per second than along the spiral.
-        directions = directions[np.argsort(morton(directions * [1.0, 1.0, 0.0]), kind="stable")]
-        self.directions = mi.Vector3f(directions.T.astype(np.float32))
-        self.table = np.ascontiguousarray(real_sh(bandlimit, directions) / samples, dtype=np.float32)
-        turns = np.random.default_rng(seed).random(len(self.positions)) * 2.0 * math.pi
-        self.turns = turns
+    Attributes
+    ----------
+    rays : int
+        Number traced so far.
+    """
 
-    def blocked(self, vertices: NDArray) -> NDArray[np.float32]:
-        """(1/π) ∫ (1 - V) (n·ω)₊ y_lm dω at the given vertices, in the world frame."""
-        frames = self._frames(vertices)
-        hit = self._trace(vertices, frames).reshape(vertices.size, self.samples)
-        return rotate_sh(hit.astype(np.float32) @ self.table, frames).astype(np.float32)
+    def __init__(self, mi: Any, scene: Scene, net: Net, seed: int) -> None:
+        self.mi, self.net, self.rays = mi, net, 0
+        self.geometry = scene.geometry(mi)
+        self._normals = scene.mesh.normals
+        self._origins = scene.traced_positions + scene.ray_offsets[:, None] * self._normals
+        self._turns = np.random.default_rng(seed).random(len(self._normals)) * 2.0 * math.pi
+        self._directions = mi.Vector3f(net.directions.T.astype(np.float32))
 
-    def _frames(self, vertices: NDArray) -> NDArray[np.float64]:
+    def frames(self, vertices: NDArray) -> NDArray[np.float64]:
         """(n, 3, 3) rotations that take z to the normal, after a turn about z."""
-        frames = rotation_to(self.normals[vertices])
-        c, s = np.cos(self.turns[vertices])[:, None], np.sin(self.turns[vertices])[:, None]
+        frames = rotation_to(self._normals[vertices])
+        c, s = np.cos(self._turns[vertices])[:, None], np.sin(self._turns[vertices])[:, None]
         x, y = frames[:, :, 0].copy(), frames[:, :, 1].copy()
         frames[:, :, 0], frames[:, :, 1] = c * x + s * y, c * y - s * x
         return frames
 
-    def _trace(self, vertices: NDArray, frames: NDArray) -> NDArray[np.bool_]:
-        """(n samples,) True where a ray is blocked; the directions of one vertex are next to each other."""
+    def start(self, vertices: NDArray, frames: NDArray) -> Callable[[Any, Any], Any]:
+        """Upload a block of vertices; returns what makes Mitsuba rays of (place in the block, direction of the net)."""
         import drjit as dr
 
         mi = self.mi
-        origins = self.positions[vertices] + self.offset * self.normals[vertices]
-        origin = mi.Point3f(origins.T.astype(np.float32))
-        s, t, n = (mi.Vector3f(frames[:, :, axis].T.astype(np.float32)) for axis in range(3))
-        lane = dr.arange(mi.UInt32, vertices.size * self.samples)
-        vertex = lane // dr.opaque(mi.UInt32, self.samples)
-        local = dr.gather(mi.Vector3f, self.directions, lane - vertex * dr.opaque(mi.UInt32, self.samples))
-        direction = (
-            dr.gather(mi.Vector3f, s, vertex) * local.x
-            + dr.gather(mi.Vector3f, t, vertex) * local.y
-            + dr.gather(mi.Vector3f, n, vertex) * local.z
-        )
-        return np.array(self.geometry.ray_test(mi.Ray3f(dr.gather(mi.Point3f, origin, vertex), direction)))
+        origin = mi.Point3f(self._origins[vertices].T.astype(np.float32))
+        x, y, z = (mi.Vector3f(frames[:, :, axis].T.astype(np.float32)) for axis in range(3))
+
+        def rays(place: Any, direction: Any) -> Any:
+            self.rays += dr.width(place)
+            local = dr.gather(mi.Vector3f, self._directions, direction)
+            towards = (
+                dr.gather(mi.Vector3f, x, place) * local.x
+                + dr.gather(mi.Vector3f, y, place) * local.y
+                + dr.gather(mi.Vector3f, z, place) * local.z
+            )
+            return mi.Ray3f(dr.gather(mi.Point3f, origin, place), towards)
+
+        return rays
+
+    def to_nodes(self, count: int) -> tuple[Any, Any]:
+        """Places and directions of all nodes for a block of ``count`` vertices, those of one vertex side by side."""
+        import drjit as dr
+
+        size = dr.opaque(self.mi.UInt32, self.net.size)
+        lane = dr.arange(self.mi.UInt32, count * self.net.size)
+        place = lane // size
+        return place, lane - place * size
+
+
+class Seen(NamedTuple):
+    """What a block of n vertices sees.
+
+    Nodes and edges of the net come first so that picking the same one for all vertices copies contiguous memory.
+
+    Attributes
+    ----------
+    frames : (n, 3, 3)
+    hit : (nodes, n)
+        True where a node is blocked.
+    quarter : (edges, n)
+        In which quarter of an edge visibility changes, where it does.
+    """
+
+    frames: NDArray[np.float64]
+    hit: NDArray[np.bool_]
+    quarter: NDArray[np.uint8]
+
+
+class VisibilityTracer(HemisphereRays):
+    """What is blocked, by adaptive visibility: nodes of the net, then bisection where they disagree."""
+
+    def __init__(self, mi: Any, scene: Scene, bandlimit: int, net: Net, seed: int) -> None:
+        super().__init__(mi, scene, net, seed)
+        self.node_table, self.corner_table = net.tables(bandlimit)
+        self.changes = 0  # edges along which visibility changed, so far
+        sides, corners = net.triangle_edges, net.triangles
+        # For corner k of triangle t, at 3 t + k: its edges to corners k + 1 and k + 2, and whether they run towards it.
+        self._edge = [sides.ravel(), np.roll(sides, 1, axis=1).ravel()]
+        self._towards = [net.edges[edge, 0] != corners.ravel() for edge in self._edge]
+
+    def blocked(self, seen: Seen) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+        """(1/π) ∫ (1 - V) (n·ω)₊ y_lm dω of what was seen, (n, (L+1)²) in the world frame.
+
+        Also (n,) True where every node is blocked.
+        """
+        return rotate_sh(self._projected(seen), seen.frames), np.all(seen.hit, axis=0)
+
+    def survey(self, vertices: NDArray) -> tuple[NDArray[np.floating], float, float]:
+        """Blocked part of each hemisphere, (n,), and over all vertices the energy of transfer in all degrees and up
+        to the bandlimit: ∫ (V (n·ω)₊ / π)² dω and Σ_lm t_lm²."""
+        seen = self.look(vertices)
+        lost = self._projected(seen)
+        kept = self.node_table.sum(axis=0) - lost
+        cosine = self.net.weights * self.net.directions[: self.net.size, 2] / math.pi
+        energy = float(cosine @ (~seen.hit).sum(axis=1))
+        return lost[:, 0] * float(_MEAN), energy, float(np.sum(kept.astype(np.float64) ** 2))
+
+    def look(self, vertices: NDArray) -> Seen:
+        """Trace from the given vertices."""
+        mi, net, count = self.mi, self.net, len(vertices)
+        frames = self.frames(vertices)
+        rays = self.start(vertices, frames)
+
+        def test(place: Any, direction: Any) -> NDArray[np.bool_]:
+            return np.array(self.geometry.ray_test(rays(place, direction)))
+
+        hit = np.ascontiguousarray(test(*self.to_nodes(count)).reshape(count, net.size).T)
+        self._close_leaks(vertices, frames, hit)
+        quarter = np.zeros((len(net.edges), count), dtype=np.uint8)
+        changed = np.flatnonzero(hit[net.edges[:, 0]] != hit[net.edges[:, 1]])
+        if changed.size:
+            edge, place = np.divmod(changed, count)
+            by_vertex = np.argsort(place.astype(np.uint16 if count <= 1 << 16 else np.uint32), kind="stable")
+            edge, place = edge[by_vertex], place[by_vertex]
+            begin, lane = hit[net.edges[edge, 0], place], mi.UInt32(place.astype(np.uint32))
+            second_half = test(lane, mi.UInt32(net.along_edge(edge, 2).astype(np.uint32))) == begin
+            next_point = net.along_edge(edge, np.where(second_half, 3, 1))
+            last_quarter = test(lane, mi.UInt32(next_point.astype(np.uint32))) == begin
+            quarter[edge, place] = 2 * second_half + last_quarter
+            self.changes += edge.size
+        return Seen(frames, hit, quarter)
+
+    def _close_leaks(self, vertices: NDArray, frames: NDArray, hit: NDArray[np.bool_]) -> None:
+        """Look again, beside them, at the last open directions of vertices that see almost nothing of the sky.
+
+        About one ray in a million slips between two triangles; a closed room must be exactly dark all the same.
+        """
+        few_open = np.flatnonzero(self.net.size - hit.sum(axis=0) <= _LEAKS)
+        node, which = np.nonzero(~hit[:, few_open])
+        if node.size == 0:
+            return
+        place = few_open[which]
+        c, s = math.cos(_BESIDE), math.sin(_BESIDE)
+        turned = frames @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        rays = self.start(vertices, turned)
+        lane = self.mi.UInt32(place.astype(np.uint32))
+        ray = rays(lane, self.mi.UInt32(node.astype(np.uint32)))
+        hit[node, place] = np.array(self.geometry.ray_test(ray))
+
+    def _projected(self, seen: Seen) -> NDArray[np.float32]:
+        """What was seen as spherical harmonics in the vertices' frames."""
+        local = seen.hit.T.astype(np.float32) @ self.node_table
+        local += self._cut_triangles(seen.hit, seen.quarter) @ self.corner_table
+        return local
+
+    def _cut_triangles(self, hit: NDArray[np.bool_], quarter: NDArray[np.uint8]) -> csr_array:
+        """Rows of the corner table that each vertex adds or subtracts: (n, 48 T), entries 1 and -1."""
+        a, b, c = (hit[self.net.triangles[:, k]] for k in range(3))
+        triangle, place = np.divmod(np.flatnonzero((a != b) | (b != c)), hit.shape[1])
+        a, b, c = a[triangle, place], b[triangle, place], c[triangle, place]
+        lone = np.where(b == c, 0, np.where(a == c, 1, 2))  # the corner that disagrees with the other two
+        corner = 3 * triangle + lone
+        row = corner
+        for edge, towards in zip(self._edge, self._towards, strict=True):
+            # Quarters count from the edge's first node; here from the corner.
+            counted = quarter[edge[corner], place] ^ np.where(towards[corner], QUARTERS - 1, 0)
+            row = row * QUARTERS + counted
+        lone_is_blocked = np.where(lone == 0, a, np.where(lone == 1, b, c))
+        sign = np.where(lone_is_blocked, np.float32(1.0), np.float32(-1.0))
+        return csr_array((sign, (place, row)), shape=(hit.shape[1], len(self.corner_table)))

@@ -86,7 +86,7 @@ def test_prediction_for_shadowed_light(basis, terms, shadowed):
 def test_prediction_weights_of_slepian_follow_the_identity(convex):
     """Paper, Sec. 3: with unoccluded transport the span of D_t g_i misses what the later functions carry."""
     clusters = cluster_normals(convex.normals, 6)
-    problem = Problem(6, clusters, convex.normals, convex.vectors[:, 0])
+    problem = Problem(6, clusters, convex.normals, convex.vectors)
     for candidate in candidates("slepian", problem):
         assert candidate.energies.sum() == pytest.approx(candidate.total, rel=1e-6)
         assert tails(candidate)[-1] <= 1e-6 * candidate.total
@@ -130,7 +130,7 @@ def test_tolerance_is_kept(basis, tolerance, coding, shadowed):
 
 def test_tolerance_takes_the_fewest(shadowed):
     clusters = cluster_normals(shadowed.normals, 8)
-    problem = Problem(6, clusters, shadowed.normals, shadowed.vectors[:, 0])
+    problem = Problem(6, clusters, shadowed.normals, shadowed.vectors)
     found = candidates("adapted", problem)
     sizes = np.array([len(m) for m in clusters.members])
     terms = by_tolerance(found, sizes, 0.1)
@@ -191,7 +191,7 @@ def test_single_triangle(basis, bandlimit):
 
 
 def test_pilot_is_in_the_vertices_own_frames(shadowed):
-    problem = Problem(6, cluster_normals(shadowed.normals, 8), shadowed.normals, shadowed.vectors[:, 0])
+    problem = Problem(6, cluster_normals(shadowed.normals, 8), shadowed.normals, shadowed.vectors)
     local = rotate_sh(shadowed.vectors[:, 0], np.swapaxes(rotation_to(shadowed.normals), -1, -2))
     energy = float((local**2).sum(axis=1).mean())
     assert problem.pilot_moment.energy == pytest.approx(energy, rel=0.05)

@@ -1,0 +1,171 @@
+"""Mesh files and Mitsuba scenes, loaded for transport."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slepian_prt.errors import UserError
+from slepian_prt.scene import materials
+from slepian_prt.scene.environments import Environment, emitted_environment
+from slepian_prt.scene.meshes import Mesh, read_mesh
+from slepian_prt.scene.scenes import Part, Scene
+from slepian_prt.scene.shapes import Receiver, mitsuba_mesh, receiver
+from slepian_prt.scene.variants import mitsuba
+
+
+@contextmanager
+def open_scene(
+    path: str | Path | Mesh, *, albedo: ArrayLike | None = None, view: str | int | None = None
+) -> Iterator[tuple[Any, Scene]]:
+    """Load a mesh file, a Mitsuba .xml or a `Mesh`, and yield Mitsuba in a working variant with the scene.
+
+    Parameters
+    ----------
+    path : path or Mesh
+    albedo : one or three numbers in [0, 1], optional
+        Of a mesh file, which says nothing about it: without one it is 1, and nothing is known of interreflection.
+    view : id or number of a camera of an .xml scene, optional
+        Glossy receivers are included, as that camera sees them.
+
+    Raises
+    ------
+    UserError
+        As `read_mesh`; an XML file that Mitsuba refuses (its message is passed on); a scene with nothing to light; an
+        albedo for a scene that has its own; a camera that is not there.
+    """
+    if not isinstance(path, Mesh) and Path(path).suffix.lower() == ".xml":
+        if not Path(path).is_file():
+            raise UserError(f"{path}: no such file; check the path")
+        if albedo is not None:
+            raise UserError(f"{path}: its materials say what it reflects; leave out the albedo, or change it there")
+        with mitsuba() as mi:
+            yield mi, _from_xml(mi, Path(path), view)
+        return
+    if view is not None:
+        raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
+    mesh, source = (path, path.name) if isinstance(path, Mesh) else (read_mesh(path), str(path))
+    if albedo is not None:
+        mesh = replace(mesh, albedo=_constant_albedo(albedo, len(mesh.positions)))
+    with mitsuba() as mi:
+        yield mi, _from_mesh(mi, mesh, source, albedo is not None)
+
+
+def _constant_albedo(albedo: ArrayLike, count: int) -> Any:
+    values = np.asarray(albedo, dtype=np.float64).ravel()
+    if values.size not in (1, 3) or not np.all(np.isfinite(values)) or values.min() < 0.0 or values.max() > 1.0:
+        raise UserError(f"albedo must be one or three numbers between 0 and 1, not {albedo!r}")
+    return np.broadcast_to(values.astype(np.float32), (count, 3)).copy()
+
+
+def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
+    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+    diagonal = float(np.linalg.norm(high - low))
+    origin, scale = 0.5 * (low + high), diagonal if diagonal > 0.0 else 1.0
+    shape = mitsuba_mesh(mi, replace(mesh, positions=(mesh.positions - origin) / scale))
+    return Scene(
+        source,
+        mesh,
+        (Part(mesh.name, 0, len(mesh.positions)),),
+        origin,
+        scale,
+        (shape,),
+        mesh.faces,
+        (0,),
+        (has_materials,),
+        has_materials or bool(np.any(mesh.albedo != 1.0)),
+        None,
+        None,
+    )
+
+
+# --- Mitsuba XML -----------------------------------------------------------------------------------------------------
+
+
+def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
+    try:
+        loaded = mi.load_file(str(path))
+    except Exception as error:  # whatever Mitsuba's parser and plugins raise
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); mend it there") from None
+    sensor = _camera(loaded.sensors(), view, path)
+    box = loaded.bbox()
+    diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
+    receivers: list[Receiver] = []
+    occluders, notes = [], []
+    wanted = materials.reflects_diffusely if view is None else materials.reflects_toward_a_view
+    for index, shape in enumerate(loaded.shapes()):
+        name = shape.id() or f"shape_{index}"
+        bsdf = shape.bsdf()
+        if shape.is_emitter():
+            notes.append(f"light emitted by shape '{name}'")
+        made = receiver(mi, shape, name, f"{path}: shape '{name}'", diagonal) if wanted(mi, bsdf) else None
+        if made is not None:
+            receivers.append(made)
+            notes += materials.left_out(mi, bsdf, name, view=view is not None)
+            continue
+        occluders.append(shape)
+        reason = "its material has no diffuse part" if not wanted(mi, bsdf) else "it has no vertices"
+        notes.append(f"light received by shape '{name}' ({reason}; it casts shadows only)")
+    if not receivers:
+        listed = "; ".join(notes) or "it has no shapes"
+        raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
+    environment, others = _lights(mi, loaded.emitters(), str(path))
+    meshes = [made.mesh for made in receivers]
+    counts = np.array([len(mesh.positions) for mesh in meshes])
+    offsets = np.cumsum(counts) - counts
+    face_counts = np.array([len(made.faces) for made in receivers])
+    merged = Mesh(
+        path.stem,
+        np.concatenate([mesh.positions for mesh in meshes]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+        np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]).astype(np.int32),
+        np.concatenate([mesh.albedo for mesh in meshes]),
+        tuple(note for mesh in meshes for note in mesh.notes),
+    )
+    faces = [made.faces + offset for made, offset in zip(receivers, offsets, strict=True)]
+    return Scene(
+        str(path),
+        merged,
+        tuple(Part(mesh.name, int(first), int(n)) for mesh, first, n in zip(meshes, offsets, counts, strict=True)),
+        np.zeros(3),
+        1.0,
+        (*(made.shape for made in receivers), *occluders),
+        np.concatenate(faces).astype(np.int32),
+        tuple(int(first) for first in np.cumsum(face_counts) - face_counts),
+        tuple(materials.reflects_on_both_sides(mi, made.shape.bsdf()) for made in receivers),
+        True,
+        sensor,
+        environment,
+        (*notes, *others),
+    )
+
+
+def _camera(sensors: Sequence[Any], view: str | int | None, path: Path) -> Any:
+    """The camera of that id or number; without one, the first, or None."""
+    if view is None:
+        return sensors[0] if sensors else None
+    names = [camera.id() for camera in sensors]
+    if isinstance(view, str) and view in names:
+        return sensors[names.index(view)]
+    if str(view).isdigit() and int(view) < len(sensors):
+        return sensors[int(view)]
+    known = ", ".join(f"{number} ('{name}')" for number, name in enumerate(names)) or "it has none"
+    raise UserError(f"{path}: no camera {view!r}; name one by number or id: {known}")
+
+
+def _lights(mi: Any, emitters: Sequence[Any], origin: str) -> tuple[Environment | None, list[str]]:
+    """The scene's distant light, and what other light it has (shapes that emit are named with their shapes)."""
+    environment, others = None, []
+    for emitter in emitters:
+        if emitter.is_environment():
+            environment = emitted_environment(mi, emitter, origin)
+        elif not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
+            others.append(f"light of emitter '{emitter.id() or emitter.class_name()}'")
+    return environment, others

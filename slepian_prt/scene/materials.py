@@ -1,0 +1,90 @@
+"""What a Mitsuba BSDF reflects: the diffuse part at vertices, and what of it transport does not simulate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+
+
+def reflects_diffusely(mi: Any, bsdf: Any) -> bool:
+    """Whether the material has a diffuse reflecting part."""
+    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.DiffuseReflection))
+
+
+def reflects_toward_a_view(mi: Any, bsdf: Any) -> bool:
+    """Whether the material reflects, other than as a perfect mirror: what transfer for a given view can hold."""
+    return reflects_diffusely(mi, bsdf) or (
+        bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.GlossyReflection))
+    )
+
+
+def reflects_on_both_sides(mi: Any, bsdf: Any) -> bool:
+    """Whether light on the back is reflected there."""
+    return bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide))
+
+
+def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
+    """What of the material of a receiving shape is not simulated, each as the name of an effect."""
+    flags = mi.BSDFFlags
+
+    def has(*wanted: Any) -> bool:
+        return any(mi.has_flag(bsdf.flags(), flag) for flag in wanted)
+
+    notes = []
+    if not view and has(flags.GlossyReflection):
+        notes.append(f"glossy reflection of shape '{name}' (simulated for a camera with --view)")
+    if has(flags.DeltaReflection):
+        notes.append(f"mirror reflection of shape '{name}'")
+    if has(flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission):
+        notes.append(f"transmission through shape '{name}'")
+    if has(flags.Null):
+        notes.append(f"transparency of shape '{name}' (it casts full shadows)")
+    return notes
+
+
+def diffuse_reflectance(
+    mi: Any,
+    shape: Any,
+    bsdf: Any,
+    positions: NDArray,
+    normals: NDArray,
+    faces: NDArray,
+    uv: NDArray | None,
+    origin: str,
+) -> NDArray[np.float32]:
+    """(V, 3) albedo of the material's diffuse part at the vertices of a shape.
+
+    Constants, bitmaps (at the texture coordinates) and attributes of the mesh alike.
+
+    Raises
+    ------
+    UserError
+        A texture that cannot be evaluated, or is not a reflectance.
+    """
+    import drjit as dr
+
+    count = len(normals)
+    face = np.zeros(count, dtype=np.uint32)  # one of each vertex: attributes are interpolated on it
+    face[faces] = np.arange(len(faces), dtype=np.uint32)[:, None]
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.t, si.wi = mi.Float(0.0), mi.Vector3f(0.0, 0.0, 1.0)
+    si.n = mi.Normal3f(np.ascontiguousarray(normals.T, dtype=np.float32))
+    si.sh_frame = mi.Frame3f(si.n)
+    si.shape = mi.ShapePtr(shape)
+    si.p = mi.Point3f(np.ascontiguousarray(positions.T, dtype=np.float32))
+    si.prim_index = mi.UInt32(face)
+    if uv is not None:
+        si.uv = mi.Point2f(np.ascontiguousarray(uv.T, dtype=np.float32))
+    try:
+        values = np.array(bsdf.eval_diffuse_reflectance(si)).T
+    except Exception as error:  # whatever a texture plugin raises
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"{origin}: its reflectance cannot be evaluated ({reason}); mend its material") from None
+    reflectance = np.broadcast_to(values, (count, 3)).astype(np.float32)
+    if not np.all(np.isfinite(reflectance)) or reflectance.min() < 0.0:
+        raise UserError(f"{origin}: its reflectance is negative or not finite; mend its material")
+    return reflectance

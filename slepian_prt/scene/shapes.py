@@ -1,0 +1,242 @@
+"""Mitsuba shapes as triangle meshes with vertices: receivers of light."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slepian_prt.scene.materials import diffuse_reflectance
+from slepian_prt.scene.meshes import Mesh, make_mesh
+
+# A mesh of fewer vertices hardly shows a shadow.
+_COARSE = 100
+
+# Shapes that have a formula instead of vertices are cut into faces of about this part of the scene's diagonal.
+_FACE_SIZE = 1.0 / 96.0
+_FEWEST_CUTS, _MOST_CUTS = 24, 128
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """A shape that light is computed on.
+
+    Attributes
+    ----------
+    shape : Mitsuba mesh
+        The scene's own, or one that replaces a sphere and the like.
+    mesh : Mesh
+    faces : (F', 3) int64
+        The faces as Mitsuba numbers them; ``mesh`` leaves out degenerate ones.
+    """
+
+    shape: Any
+    mesh: Mesh
+    faces: NDArray[np.int64]
+
+
+def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float) -> Receiver | None:
+    """The shape with vertices, or None for what cannot be given any (curves, implicit surfaces, instances).
+
+    Parameters
+    ----------
+    mi : Mitsuba
+    shape : Mitsuba shape with a BSDF
+    name, origin : str
+        For logs and messages.
+    diagonal : float
+        Of the whole scene: sets how finely a shape that is not a mesh is cut.
+
+    Raises
+    ------
+    UserError
+    """
+    kind = shape.class_name()
+    normals: NDArray | None
+    uv: NDArray | None
+    if kind in _PARAMETRIC:
+        positions, normals, faces, uv = _parametric(mi, shape, kind, diagonal)
+    elif not shape.is_mesh():
+        return None
+    else:
+        positions, normals, faces, uv = _vertices(mi, shape)
+        if kind == "Cube":
+            positions, normals, faces, uv = _subdivided(positions, normals, faces, uv, diagonal)
+        elif len(positions) < _COARSE:
+            log.info(
+                "%s has only %d vertices; light is computed at vertices, so subdivide it to see shadows on it",
+                origin,
+                len(positions),
+            )
+    own = kind in _PARAMETRIC or kind == "Cube"
+    bsdf = shape.bsdf()
+    mesh = make_mesh(positions, faces, normals=normals, name=name, origin=origin)
+    traced = _rebuilt(mi, shape, mesh.normals, positions, faces, uv, name) if own else shape
+    albedo = diffuse_reflectance(mi, traced, bsdf, positions, mesh.normals, faces, uv, origin)
+    return Receiver(traced, Mesh(name, mesh.positions, mesh.normals, mesh.faces, albedo, mesh.notes), faces)
+
+
+def mitsuba_mesh(mi: Any, mesh: Mesh) -> Any:
+    """A Mitsuba mesh of the same geometry with a diffuse BSDF of its albedo."""
+    constant = bool(np.all(mesh.albedo == mesh.albedo[0]))
+    reflectance = (
+        {"type": "rgb", "value": mesh.albedo[0].tolist()}
+        if constant
+        else {"type": "mesh_attribute", "name": "vertex_albedo"}
+    )
+    bsdf = mi.load_dict({"type": "twosided", "material": {"type": "diffuse", "reflectance": reflectance}})
+    shape = _mesh(mi, bsdf, mesh.name, mesh.positions, mesh.normals, mesh.faces, None)
+    if not constant:
+        add_vertex_attribute(mi, shape, "vertex_albedo", mesh.albedo)
+    return shape
+
+
+def add_vertex_attribute(mi: Any, shape: Any, name: str, values: ArrayLike) -> None:
+    """Give a Mitsuba mesh a three-channel attribute per vertex, or change the values of the one it has.
+
+    Mitsuba does not check the length (it would read out of bounds) and returns zeros, silently, for channel counts
+    other than one and three.
+    """
+    array = np.ascontiguousarray(values, dtype=np.float32)
+    if array.shape != (shape.vertex_count(), 3):
+        raise ValueError(f"{name} must have shape ({shape.vertex_count()}, 3), not {array.shape}")
+    parameters = mi.traverse(shape)
+    if name in parameters:
+        parameters[name] = mi.Float(array.ravel())
+        parameters.update()
+    else:
+        shape.add_attribute(name, 3, array.ravel())
+
+
+def _mesh(
+    mi: Any, bsdf: Any, name: str, positions: NDArray, normals: NDArray, faces: NDArray, uv: NDArray | None
+) -> Any:
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = bsdf
+    shape = mi.Mesh(
+        name,
+        len(positions),
+        len(faces),
+        props=properties,
+        has_vertex_normals=True,
+        has_vertex_texcoords=uv is not None,
+    )
+    parameters = mi.traverse(shape)
+    parameters["vertex_positions"] = mi.Float(positions.astype(np.float32).ravel())
+    parameters["vertex_normals"] = mi.Float(normals.astype(np.float32).ravel())
+    parameters["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
+    if uv is not None:
+        parameters["vertex_texcoords"] = mi.Float(uv.astype(np.float32).ravel())
+    parameters.update()
+    return shape
+
+
+def _rebuilt(
+    mi: Any,
+    shape: Any,
+    normals: NDArray,
+    positions: NDArray,
+    faces: NDArray,
+    uv: NDArray | None,
+    name: str,
+) -> Any:
+    made = _mesh(mi, shape.bsdf(), name, positions, normals, faces, uv)
+    made.set_id(name)
+    return made
+
+
+def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
+    """Positions, normals, faces and texture coordinates of a Mitsuba mesh."""
+    import drjit as dr
+
+    vertex, face = dr.arange(mi.UInt32, shape.vertex_count()), dr.arange(mi.UInt32, shape.face_count())
+    positions = np.array(shape.vertex_position(vertex), dtype=np.float64).T
+    faces = np.array(shape.face_indices(face), dtype=np.int64).T
+    normals = np.array(shape.vertex_normal(vertex), dtype=np.float64).T if shape.has_vertex_normals() else None
+    uv = np.array(shape.vertex_texcoord(vertex), dtype=np.float32).T if shape.has_vertex_texcoords() else None
+    return positions, normals, faces, uv
+
+
+# --- Shapes with a formula -------------------------------------------------------------------------------------------
+
+# The parameters of Mitsuba's shapes are (u, v) in [0, 1]², except that v of a cylinder cannot be exactly 0 or 1.
+_PARAMETRIC = ("Sphere", "Rectangle", "Disk", "Cylinder")
+_INSET = 1e-6
+
+
+def _parametric(mi: Any, shape: Any, kind: str, diagonal: float) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """A grid over the shape's own parameters, so that textures stay where they are."""
+    coarse = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), indexing="ij"), axis=-1)
+    points, _ = _evaluate(mi, shape, kind, coarse.reshape(-1, 2))
+    grid = points.reshape(9, 9, 3)
+    along = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).sum(axis=axis).max() for axis in (0, 1)]
+    cuts = [_cuts(length, diagonal) for length in along]
+    u, v = np.meshgrid(*(np.linspace(0.0, 1.0, n + 1) for n in cuts), indexing="ij")
+    uv = np.column_stack([u.ravel(), v.ravel()])
+    positions, normals = _evaluate(mi, shape, kind, uv)
+    index = np.arange(uv.shape[0]).reshape(u.shape)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    corner = positions[faces]
+    turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(turned, axis=1)
+    faces, turned = faces[area > 1e-9 * area.max()], turned[area > 1e-9 * area.max()]  # at the poles
+    if np.einsum("ij,ij->", turned, normals[faces[:, 0]]) < 0.0:
+        faces = faces[:, ::-1].copy()
+    return positions, normals, faces, uv
+
+
+def _evaluate(mi: Any, shape: Any, kind: str, uv: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    at = np.clip(uv, _INSET, 1.0 - _INSET) if kind == "Cylinder" else uv
+    si = shape.eval_parameterization(mi.Point2f(at.T.astype(np.float32)))
+    positions, normals = np.array(si.p, dtype=np.float64).T, np.array(si.n, dtype=np.float64).T
+    return positions, np.broadcast_to(normals, positions.shape).copy()  # a plane has one normal for all
+
+
+def _cuts(length: float, diagonal: float) -> int:
+    return int(np.clip(math.ceil(length / (_FACE_SIZE * diagonal)), _FEWEST_CUTS, _MOST_CUTS))
+
+
+def _subdivided(
+    positions: NDArray, normals: NDArray | None, faces: NDArray, uv: NDArray | None, diagonal: float
+) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
+    """Every triangle cut into n² by interpolation; corners that were apart (hard edges) stay apart."""
+    corner = positions[faces]
+    longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
+    n = max(2, math.ceil(_cuts(longest, diagonal) / 2))
+    i, j = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)]).T
+    weights = np.column_stack([n - i - j, i, j]) / n
+    number = np.full((n + 1, n + 1), -1)
+    number[i, j] = np.arange(i.size)
+    up = np.array([(number[a, b], number[a + 1, b], number[a, b + 1]) for a in range(n) for b in range(n - a)])
+    down = np.array(
+        [(number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]) for a in range(n) for b in range(n - a - 1)]
+    )
+    pattern = np.concatenate([up, down.reshape(-1, 3)])
+
+    def spread(values: NDArray) -> NDArray:
+        return np.einsum("pk,fkc->fpc", weights, values[faces].astype(np.float64)).reshape(-1, values.shape[1])
+
+    parts = [spread(positions)]
+    if normals is not None:
+        parts.append(spread(normals))
+    if uv is not None:
+        parts.append(spread(uv))
+    # The two triangles of a side share the points along their common edge.
+    table, which = np.unique(np.round(np.concatenate(parts, axis=1), 6), axis=0, return_inverse=True)
+    first = np.full(len(table), -1)
+    first[which.ravel()[::-1]] = np.arange(len(parts[0]))[::-1]
+    cut = (np.arange(len(faces))[:, None, None] * i.size + pattern).reshape(-1, 3)
+    joined = which.ravel()[cut]
+    return (
+        parts[0][first],
+        parts[1][first] if normals is not None else None,
+        joined,
+        parts[-1][first] if uv is not None else None,
+    )

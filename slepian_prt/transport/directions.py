@@ -1,0 +1,202 @@
+"""Shared direction sets over the hemisphere, with exact tables for the shapes that adaptive visibility finds.
+
+Directions about the normal are points of the unit disk (x, y of the unit vector): the cosine-weighted measure of the
+hemisphere, (n·ω)₊ dω/π, is the uniform one on the disk (the Nusselt analogue). A net of nodes is triangulated there.
+Visibility is constant on most triangles. On an edge whose ends disagree, two bisections bracket where visibility
+changes to a quarter of the edge, and within a triangle the boundary is taken as straight (marching triangles). That
+leaves few distinct shapes, and the integrals of all spherical harmonics over them are tabulated once, so that the
+projection of any vertex is a sum of table rows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import Delaunay, cKDTree
+
+from slepian_prt.slepian.kernels import cosine_lobe
+from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+
+SMALLEST_NET = 8
+
+# Where on an edge visibility can be found to change, in parts of its length.
+QUARTERS = 4
+# Outermost nodes, as a radius in the disk: 5.7 degrees above the horizon. Visibility further out is taken to be that
+# of the triangle next to it, so that rays do not graze the vertex's own faces.
+_RIM = 0.995
+_RELAXATIONS = 24
+_POINTS_PER_NODE = 64
+_LARGEST_RULE = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class Net:
+    """A triangulated set of directions about z.
+
+    Attributes
+    ----------
+    triangulation : scipy.spatial.Delaunay
+        Of the nodes, which follow a Z-order curve: rays traced together should run together.
+    edges : (E, 2)
+        Nodes of each edge, the smaller index first.
+    triangle_edges : (T, 3)
+        Edge j of a triangle runs between its corners j and j+1.
+    """
+
+    triangulation: Delaunay
+    edges: NDArray[np.int64]
+    triangle_edges: NDArray[np.int64]
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(n, 2) nodes in the unit disk."""
+        return self.triangulation.points
+
+    @property
+    def triangles(self) -> NDArray[np.int32]:
+        """(T, 3) nodes of each triangle."""
+        return self.triangulation.simplices
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return len(self.points)
+
+    @cached_property
+    def directions(self) -> NDArray[np.float64]:
+        """(n + 3 E, 3) unit vectors: the nodes, then a quarter, half and three quarters along each edge."""
+        begin, end = self.points[self.edges[:, 0]], self.points[self.edges[:, 1]]
+        along = np.array([0.25, 0.5, 0.75])[None, :, None]
+        inner = (begin[:, None] * (1.0 - along) + end[:, None] * along).reshape(-1, 2)
+        return raise_to_sphere(np.concatenate([self.points, inner]))
+
+    @cached_property
+    def weights(self) -> NDArray[np.float64]:
+        """(n,) part of the disk that belongs to each node; they sum to one."""
+        rule, triangle, _ = self._rule
+        share = np.bincount(triangle, minlength=len(self.triangles)) / len(rule)
+        weights = np.bincount(self.triangles.ravel(), np.repeat(share / 3.0, 3), minlength=self.size)
+        return np.asarray(weights, dtype=np.float64)
+
+    def along_edge(self, edge: NDArray, quarter: NDArray | int) -> NDArray:
+        """Index into ``directions`` of the point that is 1, 2 or 3 quarters along an edge."""
+        return self.size + 3 * edge + quarter - 1
+
+    @cached_property
+    def _rule(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Points of an equal-weight rule on the disk, the triangle of each, and its barycentric coordinates.
+
+        What lies between the outermost nodes and the circle is given to the nearest triangle.
+        """
+        rule = _spiral(min(_LARGEST_RULE, _POINTS_PER_NODE * self.size))
+        pulled = rule.copy()
+        triangle = self.triangulation.find_simplex(pulled)
+        while (outside := triangle < 0).any():
+            pulled[outside] *= 0.996
+            triangle[outside] = self.triangulation.find_simplex(pulled[outside])
+        a, b, c = (self.points[self.triangles[triangle, k]] for k in range(3))
+        area = _cross(b - a, c - a)
+        first = _cross(b - pulled, c - pulled) / area
+        second = _cross(c - pulled, a - pulled) / area
+        return rule, triangle, np.column_stack([first, second, 1.0 - first - second])
+
+    def tables(self, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Integrals of the harmonics over the shapes that blocked regions are put together from, kept for reuse.
+
+        Returns
+        -------
+        nodes : (n, (L+1)²)
+            (1/π) ∫ (ω_z)₊ y_lm dω over a third of each triangle about a node.
+        corners : (48 T, (L+1)²)
+            Row ((3 t + k) 4 + i) 4 + j: what to add to a third of triangle t to get its corner at its vertex k, cut
+            off in quarter i of the edge to vertex k+1 and quarter j of the edge to vertex k+2.
+        """
+        return _tables(self, bandlimit)
+
+
+@lru_cache(maxsize=4)
+def direction_net(nodes: int) -> Net:
+    """A net of ``nodes`` directions about z, distributed evenly under the cosine."""
+    points = _relaxed(max(nodes, SMALLEST_NET))
+    points = points[np.argsort(_z_order(points), kind="stable")]
+    triangulation = Delaunay(points)
+    triangles = triangulation.simplices
+    sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    edges, which = np.unique(sides, axis=0, return_inverse=True)
+    return Net(triangulation, edges.astype(np.int64), which.reshape(3, -1).T.copy())
+
+
+def raise_to_sphere(points: NDArray) -> NDArray[np.float64]:
+    """Unit vectors, (n, 3), above points of the unit disk, (n, 2)."""
+    return np.column_stack([points, np.sqrt(np.maximum(0.0, 1.0 - np.sum(points * points, axis=1)))])
+
+
+@lru_cache(maxsize=2)
+def _tables(net: Net, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    rule, triangle, barycentric = net._rule
+    count, shapes = len(net.triangles), 3 * QUARTERS * QUARTERS
+    rows, columns = [], []
+    middles = (np.arange(QUARTERS) + 0.5) / QUARTERS
+    for k in range(3):
+        to_next, to_last = barycentric[:, (k + 1) % 3], barycentric[:, (k + 2) % 3]
+        for i, first in enumerate(middles):
+            for j, second in enumerate(middles):
+                inside = np.flatnonzero(to_next / first + to_last / second < 1.0)
+                rows.append(triangle[inside] * shapes + (k * QUARTERS + i) * QUARTERS + j)
+                columns.append(inside)
+    row, column = np.concatenate(rows), np.concatenate(columns)
+    cut = csr_array((np.full(row.size, 1.0, np.float32), (row, column)), shape=(count * shapes, len(rule)))
+    whole = csr_array((np.ones(len(rule)), (triangle, np.arange(len(rule)))), shape=(count, len(rule)))
+    size = num_coefficients(bandlimit)
+    corners = np.empty((count * shapes, size), dtype=np.float32)
+    triangles = np.empty((count, size))
+    harmonics = real_sh(bandlimit, raise_to_sphere(rule)).astype(np.float32)
+    harmonics /= len(rule)
+    for begin in range(0, size, 64):  # a few columns at a time: the temporaries are as large as the table
+        chosen = slice(begin, begin + 64)
+        corners[:, chosen] = cut @ np.ascontiguousarray(harmonics[:, chosen])
+        triangles[:, chosen] = whole @ harmonics[:, chosen].astype(np.float64)
+    # The rule is good to about 1e-4; what all triangles together make is known exactly.
+    exact = (real_sh(bandlimit, np.array([[0.0, 0.0, 1.0]])) * cosine_lobe(bandlimit)[degrees(bandlimit)])[0]
+    share = np.bincount(triangle, minlength=count)[:, None] / len(rule)
+    triangles += share * (exact - triangles.sum(axis=0))
+    corners -= np.repeat((triangles / 3.0).astype(np.float32), shapes, axis=0)
+    nodes = np.zeros((net.size, size))
+    for k in range(3):
+        np.add.at(nodes, net.triangles[:, k], triangles / 3.0)
+    return nodes.astype(np.float32), corners
+
+
+def _relaxed(n: int) -> NDArray[np.float64]:
+    """n points that fill the disk evenly: a golden spiral after Lloyd's relaxation, stretched to the rim."""
+    points, rule = _spiral(n), _spiral(32 * n)
+    for _ in range(_RELAXATIONS):
+        _, cell = cKDTree(points).query(rule)
+        count = np.bincount(cell, minlength=n)
+        sums = np.column_stack([np.bincount(cell, rule[:, axis], minlength=n) for axis in (0, 1)])
+        points = sums / count[:, None]
+    return points * (_RIM / np.linalg.norm(points, axis=1).max())
+
+
+def _spiral(n: int) -> NDArray[np.float64]:
+    """Golden spiral in the unit disk (Vogel 1979), (n, 2)."""
+    index = np.arange(n)
+    radius, angle = np.sqrt((index + 0.5) / n), math.pi * (3.0 - math.sqrt(5.0)) * index
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+def _z_order(points: NDArray) -> NDArray[np.int64]:
+    cells = ((points + 1.0) * 512.0).astype(np.int64)
+    key = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        key |= ((cells[:, 0] >> bit) & 1) << (2 * bit) | ((cells[:, 1] >> bit) & 1) << (2 * bit + 1)
+    return key
+
+
+def _cross(u: NDArray, v: NDArray) -> NDArray:
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
