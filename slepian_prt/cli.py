@@ -477,8 +477,17 @@ def check_width(width: int) -> None:
 
 
 class _Notes(logging.Handler):
+    """Remarks of the library on standard error, each once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._made: set[str] = set()
+
     def emit(self, record: logging.LogRecord) -> None:
-        note(record.getMessage())
+        text = record.getMessage()
+        if text not in self._made:
+            self._made.add(text)
+            note(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

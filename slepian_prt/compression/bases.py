@@ -95,7 +95,7 @@ class LinearBasis:
         n, channels, size = centred.shape
         coefficients = centred.reshape(-1, size) @ self.functions.T.astype(np.float32)
         by_function = np.swapaxes(coefficients.reshape(n, channels, self.count), 1, 2)
-        return by_function.reshape(n, -1).astype(np.float32)
+        return by_function.reshape(n, self.count * channels).astype(np.float32)
 
     def reconstruct(self, coefficients: NDArray, channels: int) -> NDArray[np.float32]:
         """(n, channels, (L+1)²) transfer vectors from (n, K channels) coefficients."""

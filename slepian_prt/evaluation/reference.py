@@ -136,7 +136,7 @@ def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int, b
         chosen = slice(begin, min(begin + block, count))
         size = chosen.stop - chosen.start
         normals = scene.mesh.normals[chosen]
-        origins = scene.traced_positions[chosen] + scene.ray_offsets[chosen, None] * normals
+        origins = scene.ray_origins[chosen]
         origin, normal = mi.Point3f(origins.T.astype(np.float32)), mi.Normal3f(normals.T.astype(np.float32))
         lane = dr.arange(mi.UInt32, size * samples)
         vertex = lane // dr.opaque(mi.UInt32, samples)

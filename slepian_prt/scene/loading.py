@@ -90,7 +90,8 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
 
 def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
     try:
-        loaded = mi.load_file(str(path))
+        # Unoptimised: merged shapes lose their names, and rectangles in them their resolution.
+        loaded = mi.load_file(str(path), optimize=False)
     except Exception as error:  # whatever Mitsuba's parser and plugins raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); mend it there") from None

@@ -111,6 +111,21 @@ class Scene:
         rounding = np.spacing(np.abs(positions).max(axis=1, initial=0.0).astype(np.float32))
         return np.maximum(RAY_OFFSET * diagonals, 32.0 * rounding)
 
+    @cached_property
+    def ray_origins(self) -> NDArray[np.float64]:
+        """(V, 3) where the rays of each vertex start, in the space that Mitsuba traces in.
+
+        Above the surface; and at the border of a surface also a little inward, because the border of a wall often
+        lies in the plane of the next one, which its rays would start in and never meet.
+        """
+        normals = self.mesh.normals
+        positions = self.traced_positions
+        inward = _inward(positions, self.mesh.faces)
+        inward -= np.einsum("ij,ij->i", inward, normals)[:, None] * normals
+        length = np.linalg.norm(inward, axis=1, keepdims=True)
+        inward = np.divide(inward, length, out=np.zeros_like(inward), where=length > 0.0)
+        return positions + self.ray_offsets[:, None] * (normals + inward)
+
     @property
     def traced_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Corners of the box of all shapes, occluders too, in the space that Mitsuba traces in."""
@@ -118,6 +133,22 @@ class Scene:
         low = np.min([np.array(box.min) for box in boxes], axis=0).astype(np.float64)
         high = np.max([np.array(box.max) for box in boxes], axis=0).astype(np.float64)
         return low, high
+
+
+def _inward(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
+    """(V, 3) from vertices on the border of the surface towards the middle of their faces; zero elsewhere."""
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1).astype(np.int64)
+    keys, count = np.unique(sides[:, 0] * len(positions) + sides[:, 1], return_counts=True)
+    border = np.zeros(len(positions), dtype=bool)
+    single = keys[count == 1]
+    border[single // len(positions)] = border[single % len(positions)] = True
+    centers = positions[faces].mean(axis=1)
+    inward = np.zeros_like(positions)
+    for corner in range(3):
+        vertex = faces[:, corner]
+        chosen = border[vertex]
+        np.add.at(inward, vertex[chosen], centers[chosen] - positions[vertex[chosen]])
+    return inward
 
 
 def mitsuba_scene(mi: Any, scene: Scene, **others: Any) -> Any:

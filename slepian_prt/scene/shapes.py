@@ -188,8 +188,9 @@ def _parametric(mi: Any, shape: Any, kind: str, diagonal: float) -> tuple[NDArra
     area = np.linalg.norm(turned, axis=1)
     faces, turned = faces[area > 1e-9 * area.max()], turned[area > 1e-9 * area.max()]  # at the poles
     if np.einsum("ij,ij->", turned, normals[faces[:, 0]]) < 0.0:
-        faces = faces[:, ::-1].copy()
-    return positions, normals, faces, uv
+        faces = faces[:, ::-1]
+    used, faces = np.unique(faces, return_inverse=True)  # a pole needs fewer vertices than the grid has there
+    return positions[used], normals[used], faces.reshape(-1, 3), uv[used]
 
 
 def _evaluate(mi: Any, shape: Any, kind: str, uv: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

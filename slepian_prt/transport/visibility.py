@@ -167,7 +167,7 @@ class HemisphereRays:
         self.mi, self.net, self.rays = mi, net, 0
         self.geometry = scene.geometry(mi)
         self._normals = scene.mesh.normals
-        self._origins = scene.traced_positions + scene.ray_offsets[:, None] * self._normals
+        self._origins = scene.ray_origins
         self._turns = np.random.default_rng(seed).random(len(self._normals)) * 2.0 * math.pi
         self._directions = mi.Vector3f(net.directions.T.astype(np.float32))
 

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.meshes import Mesh, make_mesh
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.meshes import Mesh, make_mesh
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.quadrature import spherical_fibonacci
