@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,9 @@ bounces_option = click.option(
 )
 albedo_option = click.option(
     "--albedo", metavar="A|R,G,B", help="Diffuse reflectance of a mesh file.  [default: 1, no interreflection]"
+)
+view_option = click.option(
+    "--view", metavar="CAMERA", help="Of an .xml scene, by id or number: transfer of glossy materials toward it."
 )
 seed_option = click.option("--seed", default=0, show_default=True, help="The same seed gives the same result.")
 clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
@@ -149,6 +153,7 @@ def spectrum(
 @effects_option
 @bounces_option
 @albedo_option
+@view_option
 @seed_option
 def precompute(
     scene: str,
@@ -165,6 +170,7 @@ def precompute(
     effects: str,
     bounces: int | None,
     albedo: str | None,
+    view: str | None,
     seed: int,
 ) -> None:
     """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file."""
@@ -182,6 +188,7 @@ def precompute(
             effects=effects,
             bounces=bounces,
             albedo=read_albedo(albedo),
+            view=view,
             seed=seed,
             on_plan=print_plan,
             advance=advance,
@@ -223,6 +230,8 @@ def info(file: str, as_json: bool) -> None:
         "coding": packed.coding,
         "channels": packed.channels,
         "bounces": packed.bounces,
+        "camera": None if packed.view is None else packed.view.name,
+        "toward_camera": packed.toward_view,
         "clusters": len(packed.bases),
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
@@ -255,9 +264,11 @@ def info(file: str, as_json: bool) -> None:
 )
 @rotate_option
 @clamp_option
-@click.option("--width", default=800, show_default=True, help="Of a picture, in pixels.")
+@click.option("--width", type=int, help="Of a picture, in pixels.  [default: that of the scene's camera, or 800]")
 @output_option
-def relight(file: str, environment: str | None, rotate: float, clamp_negative: bool, width: int, output: str) -> None:
+def relight(
+    file: str, environment: str | None, rotate: float, clamp_negative: bool, width: int | None, output: str
+) -> None:
     """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr)."""
     from slepian_prt.compression import archive
     from slepian_prt.compression.compressed import load
@@ -295,6 +306,9 @@ def relight(file: str, environment: str | None, rotate: float, clamp_negative: b
         from slepian_prt.scene.loading import open_scene
 
         with open_scene(packed.mesh) as (mi, scene):
+            scene = replace(scene, view=packed.view)
+            if packed.view is None and width is None:
+                width = 800
             camera = picture.trace_camera(mi, scene, width)
         picture.write_picture(output, camera.picture(radiance))
     shone = Path(environment).name if environment is not None else "the light of the scene"
@@ -318,9 +332,10 @@ def relight(file: str, environment: str | None, rotate: float, clamp_negative: b
 @effects_option
 @bounces_option
 @albedo_option
+@view_option
 @rotate_option
 @clamp_option
-@click.option("--width", default=400, show_default=True, help="Of the pictures, in pixels.")
+@click.option("--width", type=int, help="Of the pictures, in pixels.  [default: that of the scene's camera, or 400]")
 @click.option("--noise", default=0.01, show_default=True, help="Wanted relative noise of the references.")
 @seed_option
 def compare(
@@ -335,9 +350,10 @@ def compare(
     effects: str,
     bounces: int | None,
     albedo: str | None,
+    view: str | None,
     rotate: float,
     clamp_negative: bool,
-    width: int,
+    width: int | None,
     noise: float,
     seed: int,
 ) -> None:
@@ -375,6 +391,7 @@ def compare(
             effects=effects,
             bounces=bounces,
             albedo=read_albedo(albedo),
+            view=view,
             seed=seed,
             width=width,
             noise=noise,
@@ -470,9 +487,9 @@ def note(text: str) -> None:
     click.echo(f"note: {text}", err=True)
 
 
-def check_width(width: int) -> None:
+def check_width(width: int | None) -> None:
     """Raise UserError unless a picture of that width is sensible."""
-    if not 16 <= width <= 8192:
+    if width is not None and not 16 <= width <= 8192:
         raise UserError(f"width must be between 16 and 8192 pixels, not {width}")
 
 

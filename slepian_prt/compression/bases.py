@@ -160,7 +160,7 @@ def unpack_radial(
     repeats = np.unpackbits(arrays["radial/repeats"], count=orders.size).astype(bool)
     radial = np.zeros((orders.size, bandlimit + 1), dtype=np.float32)
     taken = 0
-    for k, m in enumerate(np.abs(orders)):
+    for k, m in enumerate(np.abs(orders.astype(np.int64)).tolist()):
         if repeats[k]:
             radial[k] = radial[k - 1]
         else:
@@ -194,12 +194,12 @@ class Candidate:
 class Problem:
     """What the builders of bases may look at. Beyond the pilot only ``cpca`` looks at the vectors.
 
-    ``vectors`` (V, channels, (L+1)²) are those of the transfer.
+    ``vectors`` (V, channels, (L+1)²) are those of the transfer, ``axes`` (V, 3) what it is concentrated about.
     """
 
     bandlimit: int
     clusters: Clusters
-    normals: NDArray[np.float64]
+    axes: NDArray[np.float64]
     vectors: NDArray[np.float32]
     seed: int = 0
     _solved: dict[tuple[str, float], Any] = field(default_factory=dict, init=False, repr=False)
@@ -218,12 +218,12 @@ class Problem:
     @cached_property
     def pilot_moment(self) -> SecondMoment:
         """Second moment of a stratified pilot in the vertices' own frames: every n-th vertex in cluster order."""
-        lit = np.any(self.normals != 0.0, axis=1)
+        lit = np.any(self.axes != 0.0, axis=1)
         in_order = np.concatenate(self.clusters.members)
         in_order = in_order[lit[in_order]]
         step = max(1, in_order.size // PILOT_SIZE)
         pilot = in_order[np.random.default_rng(self.seed).integers(step) :: step]
-        to_local = np.swapaxes(rotation_to(self.normals[pilot]), -1, -2)
+        to_local = np.swapaxes(rotation_to(self.axes[pilot]), -1, -2)
         seen = self.of(pilot).astype(np.float64)
         return measured_moment(rotate_sh(seen, to_local[:, None]).reshape(-1, seen.shape[2]))
 

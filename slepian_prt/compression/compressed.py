@@ -27,6 +27,7 @@ from slepian_prt.compression.bases import (
 )
 from slepian_prt.compression.clusters import Clusters, cluster_normals
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
+from slepian_prt.scene.cameras import View
 from slepian_prt.scene.environments import project_environment
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.scene.scenes import Part
@@ -76,6 +77,10 @@ class CompressedTransfer:
     source : str
     lighting : (3, (L+1)²) or None
         Of the scene's own distant light.
+    view : View or None
+        The scene's camera.
+    toward_view : bool
+        Whether this is transfer toward that camera.
     """
 
     mesh: Mesh
@@ -97,6 +102,8 @@ class CompressedTransfer:
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
     lighting: NDArray[np.float64] | None = None
+    view: View | None = None
+    toward_view: bool = False
 
     @property
     def terms(self) -> float:
@@ -164,6 +171,8 @@ class CompressedTransfer:
             "rays_traced": self.rays_traced,
             "seconds": self.seconds,
             "source": self.source,
+            "view": None if self.view is None else self.view.as_dict(),
+            "toward_view": self.toward_view,
             "written_by": f"slepian_prt {slepian_prt.__version__}",
         }
         mesh: dict[str, NDArray] = {
@@ -299,6 +308,8 @@ def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compr
         dict(manifest["seconds"]),
         manifest["source"],
         arrays.get("environment/lighting"),
+        None if manifest["view"] is None else View(**manifest["view"]),
+        bool(manifest["toward_view"]),
     )
 
 
@@ -351,9 +362,9 @@ def compress(
     else:
         label = basis
     if not isinstance(clusters, Clusters):
-        clusters = cluster_normals(transfer.normals, clusters)
+        clusters = cluster_normals(transfer.axes, clusters)
     channels = transfer.vectors.shape[1]
-    problem = Problem(transfer.bandlimit, clusters, transfer.normals, transfer.vectors, transfer.seed)
+    problem = Problem(transfer.bandlimit, clusters, transfer.axes, transfer.vectors, transfer.seed)
     found = candidates(basis, problem)
     sizes = np.array([len(members) for members in clusters.members])
     by_rounding = coding == "coded" and not by_number
@@ -399,6 +410,8 @@ def compress(
         {**transfer.seconds, "compress": time.perf_counter() - started},
         transfer.source,
         None if own is None else project_environment(own, transfer.bandlimit),
+        transfer.view,
+        transfer.toward_view,
     )
 
 

@@ -142,8 +142,9 @@ def compare(
     effects: str = "auto",
     bounces: int | None = None,
     albedo: ArrayLike | None = None,
+    view: str | int | None = None,
     seed: int = 0,
-    width: int = 400,
+    width: int | None = None,
     noise: float = 0.01,
     status: Status = lambda _: None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
@@ -155,7 +156,7 @@ def compare(
     ----------
     scene : path
     environments : maps; without any, the light of a Mitsuba scene itself
-    bandlimit, samples, clusters, effects, bounces, albedo, seed, on_plan : as `precompute` and `compress`
+    bandlimit, samples, clusters, effects, bounces, albedo, view, seed, on_plan : as `precompute` and `compress`
     bases, terms : every basis is tried with every number of terms that the bandlimit allows
     width : of the pictures
     noise : wanted relative RMS noise of the path-traced references
@@ -183,6 +184,7 @@ def compare(
         effects=effects,
         bounces=bounces,
         albedo=albedo,
+        view=view,
         seed=seed,
         on_plan=on_plan,
         advance=advance,
@@ -191,10 +193,10 @@ def compare(
         if transfer.environment is None:
             raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
         environments = [transfer.environment]
-    grouped = cluster_normals(transfer.normals, clusters)
+    grouped = cluster_normals(transfer.axes, clusters)
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]
-    with open_scene(scene, albedo=albedo) as (mi, opened):
+    with open_scene(scene, albedo=albedo, view=view) as (mi, opened):
         status("camera")
         camera = trace_camera(mi, opened, width)
         views = []
@@ -203,7 +205,14 @@ def compare(
             reference = render_reference(mi, opened, environment, width=width, noise=noise, bounces=transfer.bounces)
             reference = replace(reference, picture=camera.masked(reference.picture))
             status(f"reference at the vertices under {environment.name}")
-            vertices = vertex_reference(mi, opened, environment, noise=noise, bounces=transfer.bounces)
+            vertices = vertex_reference(
+                mi,
+                opened,
+                environment,
+                noise=noise,
+                bounces=transfer.bounces,
+                view=transfer.view if transfer.toward_view else None,
+            )
             interpolated = camera.picture(vertices.radiance)
             views.append(View(environment, reference, vertices, interpolated, camera.picture(radiance)))
     shown = min(wanted, key=lambda k: abs(k - 16))
@@ -214,8 +223,8 @@ def compare(
             packed = compress(transfer, basis, terms=k, clusters=grouped, coding="float16")
             methods.append(_measure(packed, transfer, lighting, full, views, camera))
             if k == shown:
-                for view, light in zip(views, lighting, strict=True):
-                    view.compressed[basis] = camera.picture(relight(packed, light))
+                for shown_view, light in zip(views, lighting, strict=True):
+                    shown_view.compressed[basis] = camera.picture(relight(packed, light))
         if basis in _CODED_BASES:
             for tolerance in _CODED_TOLERANCES:
                 status(f"{basis}, coded to {tolerance:g}")

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.relighting.picture import Picture, split_alpha
+from slepian_prt.scene.cameras import View, sensor
 from slepian_prt.scene.environments import Environment
-from slepian_prt.scene.scenes import Scene, mitsuba_scene, sensor
+from slepian_prt.scene.scenes import Scene, mitsuba_scene
 
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
@@ -55,7 +56,7 @@ def render_reference(
     scene: Scene,
     environment: Environment,
     *,
-    width: int = 512,
+    width: int | None = None,
     noise: float = 0.005,
     largest_samples: int = 512,
     bounces: int = 0,
@@ -86,10 +87,12 @@ def vertex_reference(
     noise: float = 0.005,
     largest_samples: int = 2048,
     bounces: int = 0,
+    view: View | None = None,
 ) -> ReferenceVertices:
     """Radiance at the vertices by light sampling and cosine sampling, combined by the balance heuristic.
 
-    What the cosine samples see of other surfaces is path-traced by Mitsuba, with one bounce less.
+    What the cosine samples see of other surfaces is path-traced by Mitsuba, with one bounce less. Of transfer toward
+    ``view`` the radiance that leaves toward that camera, path-traced.
 
     Uses the same ray origins as the transfer, so that what differs from full SH is the bandlimit (and sampling).
     """
@@ -97,10 +100,13 @@ def vertex_reference(
     lit = mitsuba_scene(mi, scene, emitter=environment_emitter(mi, environment))
 
     def half(samples: int, seed: int) -> NDArray[np.float64]:
+        if view is not None:
+            return _sample_toward(mi, scene, lit, view, samples, seed, bounces)
         return _sample_vertices(mi, scene, lit, samples, seed, bounces)
 
     first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values)
-    radiance = (0.5 * (first + second) * scene.mesh.albedo).astype(np.float32)
+    albedo = scene.mesh.albedo if view is None else 1.0
+    radiance = (0.5 * (first + second) * albedo).astype(np.float32)
     return ReferenceVertices(radiance, measured, samples, time.perf_counter() - started)
 
 
@@ -178,6 +184,39 @@ def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int, b
         summed = dr.zeros(mi.Color3f, size)
         dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(value), vertex)
         total[chosen] = np.array(summed).T / samples
+    return total
+
+
+def _sample_toward(
+    mi: Any, scene: Scene, lit: Any, view: View, samples: int, seed: int, bounces: int
+) -> NDArray[np.float64]:
+    """(V, 3) radiance from the vertices toward a camera; zero where it sees the back."""
+    import drjit as dr
+
+    eye = (np.array(view.to_world)[:3, 3] - scene.origin) / scene.scale
+    positions, normals = scene.traced_positions, scene.mesh.normals
+    toward = eye - positions
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    cosine = np.einsum("ij,ij->i", toward, normals)
+    facing = np.flatnonzero(cosine > 1e-4)
+    # From a little above the vertex, back onto it: far enough to rise above the offset that transfer starts from.
+    lift = scene.ray_offsets[facing] / np.maximum(cosine[facing], 0.05)
+    origins = scene.ray_origins[facing] + lift[:, None] * toward[facing]
+    total = np.zeros((len(positions), 3))
+    integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
+    block = max(1, (1 << 20) // samples)
+    for begin in range(0, facing.size, block):
+        chosen = slice(begin, min(begin + block, facing.size))
+        size = chosen.stop - chosen.start
+        vertex = dr.arange(mi.UInt32, size * samples) // dr.opaque(mi.UInt32, samples)
+        origin = dr.gather(mi.Point3f, mi.Point3f(origins[chosen].T.astype(np.float32)), vertex)
+        direction = dr.gather(mi.Vector3f, mi.Vector3f(-toward[facing[chosen]].T.astype(np.float32)), vertex)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed * 7919 + begin, size * samples)
+        radiance, _, _ = integrator.sample(lit, sampler, mi.RayDifferential3f(mi.Ray3f(origin, direction)))
+        summed = dr.zeros(mi.Color3f, size)
+        dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(radiance), vertex)
+        total[facing[chosen]] = np.array(summed).T / samples
     return total
 
 

@@ -12,7 +12,8 @@ from scipy.sparse import csr_array
 
 from slepian_prt.compression.archive import atomic_output
 from slepian_prt.errors import UserError
-from slepian_prt.scene.scenes import Scene, sensor
+from slepian_prt.scene.cameras import sensor
+from slepian_prt.scene.scenes import Scene
 from slepian_prt.scene.variants import bitmap_module
 
 _SEED = 17
@@ -57,11 +58,11 @@ class Camera:
         return Picture(pixels.reshape(*self.alpha.shape, 3), self.alpha)
 
 
-def trace_camera(mi: Any, scene: Scene, width: int = 512, strata: int = 5) -> Camera:
+def trace_camera(mi: Any, scene: Scene, width: int | None = None, strata: int = 5) -> Camera:
     """Trace the scene's camera, or one that frames it, with ``strata``² rays per pixel.
 
     Rays are weighted with the reconstruction filter of the film, so that the picture is comparable with Mitsuba's.
-    ``width`` counts where the scene has no camera of its own.
+    ``width`` is by default that of the scene's film.
     """
     import drjit as dr
 

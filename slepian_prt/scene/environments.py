@@ -142,8 +142,8 @@ def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
 
     parameters = mi.traverse(emitter)
     if emitter.class_name() == "EnvironmentMapEmitter":
-        # Mitsuba repeats the first column behind the last, and stores the map from pole to pole.
-        texels = np.array(parameters["data"])[:, :-1, :3] * float(np.ravel(parameters["scale"])[0])
+        # Mitsuba repeats the last column before the first, and the first behind the last.
+        texels = np.array(parameters["data"])[:, 1:-1, :3] * float(np.ravel(parameters["scale"])[0])
         world = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
         made = make_environment(texels, name="scene", origin=f"{origin}: envmap", clamp_negative=True)
         return replace(made, to_world=world / np.linalg.norm(world, axis=0))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene import materials
+from slepian_prt.scene.cameras import view_of
 from slepian_prt.scene.environments import Environment, emitted_environment
 from slepian_prt.scene.meshes import Mesh, read_mesh
 from slepian_prt.scene.scenes import Part, Scene
@@ -82,6 +83,7 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
         has_materials or bool(np.any(mesh.albedo != 1.0)),
         None,
         None,
+        None,
     )
 
 
@@ -96,6 +98,9 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); mend it there") from None
     sensor = _camera(loaded.sensors(), view, path)
+    seen_by = view_of(mi, sensor)
+    if view is not None and seen_by is None:
+        raise UserError(f"{path}: camera {view!r} is a {sensor.class_name()}; a view needs a plain perspective camera")
     box = loaded.bbox()
     diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
     receivers: list[Receiver] = []
@@ -142,7 +147,8 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
         tuple(int(first) for first in np.cumsum(face_counts) - face_counts),
         tuple(materials.reflects_on_both_sides(mi, made.shape.bsdf()) for made in receivers),
         True,
-        sensor,
+        seen_by,
+        sensor if seen_by is None else None,
         environment,
         (*notes, *others),
     )

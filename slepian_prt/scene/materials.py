@@ -46,17 +46,32 @@ def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
     return notes
 
 
+def surface_points(mi: Any, shape: Any, positions: NDArray, normals: NDArray, faces: NDArray) -> Any:
+    """Surface interactions at the vertices of a Mitsuba mesh, with the directions left to set.
+
+    Textures find their coordinates in it, and attributes of the mesh a face to be interpolated on.
+    """
+    import drjit as dr
+
+    count = len(normals)
+    face = np.zeros(count, dtype=np.uint32)
+    face[faces] = np.arange(len(faces), dtype=np.uint32)[:, None]
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.t, si.wi = mi.Float(0.0), mi.Vector3f(0.0, 0.0, 1.0)
+    si.p = mi.Point3f(np.ascontiguousarray(positions.T, dtype=np.float32))
+    si.n = mi.Normal3f(np.ascontiguousarray(normals.T, dtype=np.float32))
+    si.sh_frame = mi.Frame3f(si.n)
+    si.shape = mi.ShapePtr(shape)
+    si.prim_index = mi.UInt32(face)
+    if shape.has_vertex_texcoords():
+        si.uv = mi.Point2f(shape.vertex_texcoord(dr.arange(mi.UInt32, count)))
+    return si
+
+
 def diffuse_reflectance(
-    mi: Any,
-    shape: Any,
-    bsdf: Any,
-    positions: NDArray,
-    normals: NDArray,
-    faces: NDArray,
-    uv: NDArray | None,
-    origin: str,
+    mi: Any, shape: Any, positions: NDArray, normals: NDArray, faces: NDArray, origin: str
 ) -> NDArray[np.float32]:
-    """(V, 3) albedo of the material's diffuse part at the vertices of a shape.
+    """(V, 3) albedo of the diffuse part of a mesh's material at its vertices.
 
     Constants, bitmaps (at the texture coordinates) and attributes of the mesh alike.
 
@@ -65,26 +80,12 @@ def diffuse_reflectance(
     UserError
         A texture that cannot be evaluated, or is not a reflectance.
     """
-    import drjit as dr
-
-    count = len(normals)
-    face = np.zeros(count, dtype=np.uint32)  # one of each vertex: attributes are interpolated on it
-    face[faces] = np.arange(len(faces), dtype=np.uint32)[:, None]
-    si = dr.zeros(mi.SurfaceInteraction3f, count)
-    si.t, si.wi = mi.Float(0.0), mi.Vector3f(0.0, 0.0, 1.0)
-    si.n = mi.Normal3f(np.ascontiguousarray(normals.T, dtype=np.float32))
-    si.sh_frame = mi.Frame3f(si.n)
-    si.shape = mi.ShapePtr(shape)
-    si.p = mi.Point3f(np.ascontiguousarray(positions.T, dtype=np.float32))
-    si.prim_index = mi.UInt32(face)
-    if uv is not None:
-        si.uv = mi.Point2f(np.ascontiguousarray(uv.T, dtype=np.float32))
     try:
-        values = np.array(bsdf.eval_diffuse_reflectance(si)).T
+        values = np.array(shape.bsdf().eval_diffuse_reflectance(surface_points(mi, shape, positions, normals, faces))).T
     except Exception as error:  # whatever a texture plugin raises
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{origin}: its reflectance cannot be evaluated ({reason}); mend its material") from None
-    reflectance = np.broadcast_to(values, (count, 3)).astype(np.float32)
+    reflectance = np.broadcast_to(values, (len(normals), 3)).astype(np.float32)
     if not np.all(np.isfinite(reflectance)) or reflectance.min() < 0.0:
         raise UserError(f"{origin}: its reflectance is negative or not finite; mend its material")
     return reflectance

@@ -1,8 +1,7 @@
-"""A scene as transport sees it: receivers with vertices, everything that casts shadows, and a camera."""
+"""A scene as transport sees it: receivers with vertices, and everything that casts shadows."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from slepian_prt.scene.cameras import View
 from slepian_prt.scene.environments import Environment
 from slepian_prt.scene.meshes import Mesh
 
@@ -52,7 +52,10 @@ class Scene:
         Whether the back of each receiver reflects light.
     has_materials : bool
         Whether the albedo is known; a mesh file says nothing about it.
-    sensor : Mitsuba sensor, or None to frame the scene automatically
+    view : View or None
+        The scene's camera, if it is a plain perspective one.
+    sensor : Mitsuba sensor or None
+        The scene's camera if it is of another kind.
     environment : Environment or None
         The scene's own distant light.
     not_simulated : tuple of str
@@ -69,6 +72,7 @@ class Scene:
     first_faces: tuple[int, ...]
     two_sided: tuple[bool, ...]
     has_materials: bool
+    view: View | None
     sensor: Any
     environment: Environment | None
     not_simulated: tuple[str, ...] = ()
@@ -155,55 +159,3 @@ def mitsuba_scene(mi: Any, scene: Scene, **others: Any) -> Any:
     """A Mitsuba scene of the same shapes with other things (emitter, sensor) as given."""
     shapes = {f"shape_{i}": shape for i, shape in enumerate(scene.shapes)}
     return mi.load_dict({"type": "scene", **shapes, **others})
-
-
-def sensor(mi: Any, scene: Scene, width: int, samples: int = 16) -> Any:
-    """The scene's camera, or one that frames everything from the front, a little right and above.
-
-    ``width`` is that of the picture in pixels; the height follows the shape of the scene's film or of what is framed.
-    """
-    if scene.sensor is not None:
-        return scene.sensor
-    low, high = scene.traced_bounds
-    center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    radius = max(radius, 1e-6)
-    fov = 28.0
-    view = np.array([0.42, 0.22, 1.0])
-    view /= np.linalg.norm(view)
-    right = np.cross([0.0, 1.0, 0.0], view)
-    right /= np.linalg.norm(right)
-    up = np.cross(view, right)
-    framed = scene.traced_positions[scene.mesh.receivers]
-    x, y = framed @ right, framed @ up
-    target = 0.5 * (right * (x.min() + x.max()) + up * (y.min() + y.max())) + view * (view @ center)
-    offsets = framed - target
-    tangent = math.tan(math.radians(fov / 2))
-    depth = offsets @ view
-    aspect = float(np.clip(np.ptp(x) / max(np.ptp(y), 1e-9), 0.6, 1.8))
-    distance = 1.05 * max(
-        float(np.max(np.abs(offsets @ up) / tangent + depth)),
-        float(np.max(np.abs(offsets @ right) / (tangent * aspect) + depth)),
-        1.2 * radius,
-    )
-    height = max(1, round(width / aspect))
-    to_world = mi.ScalarTransform4f().look_at(
-        origin=(target + distance * view).tolist(), target=target.tolist(), up=[0, 1, 0]
-    )
-    return mi.load_dict(
-        {
-            "type": "perspective",
-            "fov": fov,
-            "fov_axis": "y",
-            "near_clip": 0.01 * radius,
-            "far_clip": 100.0 * radius + 10.0 * distance,
-            "to_world": to_world,
-            "film": {
-                "type": "hdrfilm",
-                "width": width,
-                "height": height,
-                "pixel_format": "rgba",
-                "rfilter": {"type": "box"},
-            },
-            "sampler": {"type": "multijitter", "sample_count": samples},
-        }
-    )

@@ -18,7 +18,7 @@ _COARSE = 100
 
 # Shapes that have a formula instead of vertices are cut into faces of about this part of the scene's diagonal.
 _FACE_SIZE = 1.0 / 96.0
-_FEWEST_CUTS, _MOST_CUTS = 24, 128
+_FEWEST_CUTS, _MOST_CUTS = 48, 128
 
 log = logging.getLogger(__name__)
 
@@ -75,10 +75,9 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float) -> Re
                 len(positions),
             )
     own = kind in _PARAMETRIC or kind == "Cube"
-    bsdf = shape.bsdf()
     mesh = make_mesh(positions, faces, normals=normals, name=name, origin=origin)
     traced = _rebuilt(mi, shape, mesh.normals, positions, faces, uv, name) if own else shape
-    albedo = diffuse_reflectance(mi, traced, bsdf, positions, mesh.normals, faces, uv, origin)
+    albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
     return Receiver(traced, Mesh(name, mesh.positions, mesh.normals, mesh.faces, albedo, mesh.notes), faces)
 
 

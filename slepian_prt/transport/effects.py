@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.cameras import View
 from slepian_prt.scene.scenes import Scene
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.transport.directions import direction_net
@@ -112,7 +113,15 @@ def check_effects(effects: str) -> None:
             raise UserError(f"effects: {name} needs {needed}; add it, as in --effects {needed},{','.join(named)}")
 
 
-def plan_effects(mi: Any, scene: Scene, bandlimit: int, samples: int, effects: str = "auto", seed: int = 0) -> Plan:
+def plan_effects(
+    mi: Any,
+    scene: Scene,
+    bandlimit: int,
+    samples: int,
+    effects: str = "auto",
+    seed: int = 0,
+    view: View | None = None,
+) -> Plan:
     """Decide what to simulate, from exact geometric tests and a pilot of a few hundred vertices.
 
     Parameters
@@ -123,6 +132,8 @@ def plan_effects(mi: Any, scene: Scene, bandlimit: int, samples: int, effects: s
     effects : str
         ``auto``; ``direct`` (shadows only); ``all``; ``none``; or effects by name, with commas between.
     seed : int
+    view : View, optional
+        Camera that transfer is wanted toward.
 
     Raises
     ------
@@ -137,10 +148,15 @@ def plan_effects(mi: Any, scene: Scene, bandlimit: int, samples: int, effects: s
     possible = np.flatnonzero(shadowed_vertices(scene))
     pilot = _look(mi, scene, possible, receivers.size, bandlimit, seed)
     rows, shadowed, nodes = _shadows(pilot, possible, receivers, samples, forced)
-    interreflection, row = _interreflection(scene, pilot, possible.size, samples, forced, effects)
+    if view is not None:
+        rows.append(_toward_view(scene, view, samples))
+    interreflection, row = _interreflection(scene, pilot, possible.size, samples, forced, effects, view)
     rows.append(row)
-    channels, row = _colour(scene, pilot, interreflection, forced, effects)
-    rows.append(row)
+    if view is None:
+        channels, row = _colour(scene, pilot, interreflection, forced, effects)
+        rows += [row, _tail(pilot, bandlimit)]
+    else:
+        channels = 3
     if interreflection and pilot.backs > TOLERANCE and any(scene.two_sided):
         rows.append(
             Effect(
@@ -152,7 +168,6 @@ def plan_effects(mi: Any, scene: Scene, bandlimit: int, samples: int, effects: s
                 "vertices carry light on their front only",
             )
         )
-    rows.append(_tail(pilot, bandlimit))
     rows += [
         Effect(what, NOT_SIMULATED, None, None, 0, "only reflection of distant light by diffuse surfaces is simulated")
         for what in scene.not_simulated
@@ -227,7 +242,13 @@ def _shadows(
 
 
 def _interreflection(
-    scene: Scene, pilot: _Pilot, possible: int, samples: int, forced: set[str] | None, effects: str
+    scene: Scene,
+    pilot: _Pilot,
+    possible: int,
+    samples: int,
+    forced: set[str] | None,
+    effects: str,
+    view: View | None,
 ) -> tuple[bool, Effect]:
     """Radiance never exceeds that of a constant environment, so indirect light is at most what is seen, times ρ."""
     direct, most = 1.0 - pilot.blocked.mean, pilot.reflecting.mean
@@ -240,6 +261,10 @@ def _interreflection(
     def row(verdict: str, reason: str) -> Effect:
         return Effect("interreflection", verdict, bound, half_width, rays, reason)
 
+    if view is not None and most > 0.0:
+        return False, row(
+            NOT_SIMULATED, "transfer toward a camera holds direct light only; the contribution is a bound"
+        )
     if forced is not None and "interreflection" not in forced:
         return False, row(OMITTED, f"not asked for (--effects {effects})")
     if forced is not None:
@@ -274,6 +299,13 @@ def _colour(
     if gray or tint.mean + tint.half_width < TOLERANCE:
         return 1, row(OMITTED, "surfaces reflect all channels alike onto each other: one channel")
     return 3, row(SIMULATED, "surfaces of different colours light each other: three channels")
+
+
+def _toward_view(scene: Scene, view: View, samples: int) -> Effect:
+    """Glossy reflection is all that a view is for: it is never left out."""
+    rays = len(scene.mesh.positions) * max(8, samples)
+    reason = f"asked for: all that materials reflect toward camera '{view.name}', but mirrors and glass"
+    return Effect("glossy reflection", SIMULATED, None, None, rays, reason)
 
 
 def _tail(pilot: _Pilot, bandlimit: int) -> Effect:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit
+from slepian_prt.scene.cameras import View
 from slepian_prt.scene.environments import Environment
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.scene.scenes import Part
-from slepian_prt.transport.effects import Effect, check_effects, plan_effects
+from slepian_prt.transport.effects import SIMULATED, Effect, check_effects, plan_effects
+from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interreflection import GATHER_SHARE, bounced, count_bounces, gather_operator
 from slepian_prt.transport.visibility import shadowed_transfer
 
@@ -52,6 +54,13 @@ class Transfer:
         Path of the scene.
     environment : Environment or None
         The scene's own distant light.
+    view : View or None
+        The scene's camera.
+    toward_view : bool
+        Whether ``vectors`` hold the light that all materials send toward that camera, reflectance included.
+    axes : (V, 3)
+        What transport is concentrated about: the normals, or toward a view the reflection directions. Zero at
+        vertices without transfer.
     """
 
     vectors: NDArray[np.float32]
@@ -66,6 +75,13 @@ class Transfer:
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
     environment: Environment | None = None
+    view: View | None = None
+    toward_view: bool = False
+    axes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        if len(self.axes) != len(self.mesh.normals):
+            object.__setattr__(self, "axes", self.mesh.normals)
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -86,6 +102,7 @@ def precompute(
     effects: str = "auto",
     bounces: int | None = None,
     albedo: ArrayLike | None = None,
+    view: str | int | None = None,
     seed: int = 0,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
@@ -105,6 +122,8 @@ def precompute(
         Of light between surfaces, where that is simulated. By default until the rest is less than a thousandth.
     albedo : one or three numbers in [0, 1], optional
         Of a mesh file, which says nothing about it.
+    view : id or number of a camera of an .xml scene, optional
+        Transfer toward that camera, of all materials but mirrors and glass; direct light only.
     seed : int
         The same seed gives the same bits.
     on_plan : callable
@@ -126,15 +145,39 @@ def precompute(
         _check_count(bounces, "bounces", 0, LARGEST_BOUNCES)
     check_effects(effects)
     clock = _Clock()
-    with open_scene(scene, albedo=albedo) as (mi, opened):
+    with open_scene(scene, albedo=albedo, view=view) as (mi, opened):
         if not opened.mesh.receivers.any():
             raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
         clock.stop("load")
-        plan = plan_effects(mi, opened, bandlimit, int(samples), effects, seed)
+        toward = opened.view if view is not None else None
+        plan = plan_effects(mi, opened, bandlimit, int(samples), effects, seed, toward)
         on_plan(plan.effects)
         _remark_on_closed(opened.path, plan.effects)
         clock.stop("plan")
         count = len(opened.mesh.positions)
+        if toward is not None:
+            shadows = plan.effects[0].verdict == SIMULATED
+            seen = view_transfer(
+                mi, opened, toward, bandlimit, int(samples), seed, shadows=shadows, advance=lambda n: advance(n, count)
+            )
+            clock.stop("transport")
+            return Transfer(
+                seen.vectors,
+                replace(opened.mesh, albedo=np.ones_like(opened.mesh.albedo)),
+                opened.parts,
+                bandlimit,
+                int(samples),
+                seed,
+                plan.effects,
+                0,
+                seen.rays,
+                clock.seconds,
+                opened.path,
+                opened.environment,
+                toward,
+                True,
+                seen.axes,
+            )
         total = count + (plan.shadowed.size if plan.interreflection else 0)
         direct, blocked, rays = shadowed_transfer(
             mi, opened, bandlimit, plan.nodes, plan.shadowed, seed, lambda done: advance(done, total)
@@ -165,6 +208,7 @@ def precompute(
             clock.seconds,
             opened.path,
             opened.environment,
+            opened.view,
         )
 
 

@@ -11,10 +11,10 @@ from slepian_prt.evaluation.reference import render_reference, vertex_reference
 from slepian_prt.relighting.outputs import write_coloured_mesh, write_radiance
 from slepian_prt.relighting.picture import Picture, exposure, to_srgb, trace_camera, write_picture
 from slepian_prt.relighting.relight import relight
+from slepian_prt.scene.cameras import sensor as scene_sensor
 from slepian_prt.scene.environments import make_environment, project_environment
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import make_mesh
-from slepian_prt.scene.scenes import sensor as scene_sensor
 from slepian_prt.scene.variants import bitmap_module
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
