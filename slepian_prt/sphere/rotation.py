@@ -75,33 +75,35 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[Any]:
         raise UserError(f"coefficients must have a last axis of (L+1)^2 entries, not shape {c.shape}")
     alpha, beta, gamma = _euler_zyz(r)
     shape = np.broadcast_shapes(c.shape[:-1], alpha.shape)
-    alpha, beta, gamma = (np.broadcast_to(angle, shape) for angle in (alpha, beta, gamma))
-    c = np.broadcast_to(c, (*shape, c.shape[-1]))
-    turn_alpha, turn_beta, turn_gamma = (_cos_sin_multiples(bandlimit, angle, dtype) for angle in (alpha, beta, gamma))
-    out = np.empty(c.shape, dtype)
+    # Inside, the vectors are columns: every step then runs along contiguous rows, one for each function.
+    columns = np.array(np.broadcast_to(c, (*shape, c.shape[-1])).reshape(-1, c.shape[-1]).T, order="C")
+    turns = [
+        _cos_sin_multiples(bandlimit, np.broadcast_to(angle, shape).ravel(), dtype) for angle in (alpha, beta, gamma)
+    ]
     for l in range(bandlimit + 1):
         degree = slice(l * l, (l + 1) ** 2)
         about_y = _to_y_axis(l).astype(dtype, copy=False)
-        v = _turn(c[..., degree], turn_gamma)
-        v = _turn(v @ about_y.T, turn_beta) @ about_y
-        out[..., degree] = _turn(v, turn_alpha)
-    return out
+        v = _turn(columns[degree], turns[2])
+        v = about_y.T @ _turn(about_y @ v, turns[1])
+        columns[degree] = _turn(v, turns[0])
+    return np.ascontiguousarray(columns.T).reshape(*shape, c.shape[-1])
 
 
 def _turn(v: NDArray, cos_sin: tuple[NDArray, NDArray]) -> NDArray:
-    """Rotate one degree, (..., 2l+1), about z by the angle whose multiples are given."""
-    l = v.shape[-1] // 2
-    cos_m, sin_m = (multiples[..., 1 : l + 1] for multiples in cos_sin)
+    """Rotate one degree, (2l+1, n), about z by the angles whose multiples are given."""
+    l = len(v) // 2
+    cos_m, sin_m = (multiples[1 : l + 1] for multiples in cos_sin)
     out = np.empty_like(v)
-    out[..., l] = v[..., l]
-    even, odd = v[..., l + 1 :], v[..., :l][..., ::-1]
-    out[..., l + 1 :] = even * cos_m - odd * sin_m
-    out[..., :l] = (odd * cos_m + even * sin_m)[..., ::-1]
+    out[l] = v[l]
+    even, odd = v[l + 1 :], v[:l][::-1]
+    out[l + 1 :] = even * cos_m - odd * sin_m
+    out[:l] = (odd * cos_m + even * sin_m)[::-1]
     return out
 
 
 def _cos_sin_multiples(bandlimit: int, angle: NDArray, dtype: np.dtype) -> tuple[NDArray, NDArray]:
-    multiples = (angle[..., None] * np.arange(bandlimit + 1)).astype(dtype, copy=False)
+    """Cosines and sines of 0, 1, …, L times each angle, (L+1, n)."""
+    multiples = (np.arange(bandlimit + 1)[:, None] * angle).astype(dtype, copy=False)
     return np.cos(multiples), np.sin(multiples)
 
 

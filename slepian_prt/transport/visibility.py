@@ -11,6 +11,7 @@ one matrix product and one sparse product per block of vertices, followed by a r
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -37,6 +38,9 @@ _BESIDE = 1e-3
 
 # The constant harmonic's coefficient times this is the part of the hemisphere.
 _MEAN = np.float32(math.sqrt(4.0 * math.pi))
+
+# Blocks that may wait to be projected.
+_BLOCKS_WAITING = 3
 
 Progress = Callable[[int], None]
 
@@ -131,16 +135,15 @@ def shadowed_transfer(
     # One block is projected while the next is traced. BLAS gets one thread, because those that it keeps spinning
     # after a product would take the cores from the tracer: that alone cost a quarter of the time.
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(1) as worker:
-        pending: Future[None] | None = None
+        pending: deque[Future[None]] = deque()
         for begin in range(0, vertices.size, block):
             chosen = vertices[begin : begin + block]
-            seen = tracer.look(chosen)
-            if pending is not None:
-                pending.result()
-            pending = worker.submit(project, chosen, seen)
+            pending.append(worker.submit(project, chosen, tracer.look(chosen)))
+            if len(pending) > _BLOCKS_WAITING:
+                pending.popleft().result()
             advance(chosen.size)
-        if pending is not None:
-            pending.result()
+        for last in pending:
+            last.result()
     return vectors, blocked, tracer.rays
 
 

