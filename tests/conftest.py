@@ -11,6 +11,8 @@ import trimesh
 
 from slepian_prt.scene.meshes import Mesh, make_mesh
 
+ROOT = Path(__file__).parent.parent
+
 
 @pytest.fixture(scope="session")
 def data() -> Path:

@@ -88,6 +88,7 @@ def vertex_reference(
     largest_samples: int = 2048,
     bounces: int = 0,
     view: View | None = None,
+    seed: int = 0,
 ) -> ReferenceVertices:
     """Radiance at the vertices by light sampling and cosine sampling, combined by the balance heuristic.
 
@@ -99,10 +100,11 @@ def vertex_reference(
     started = time.perf_counter()
     lit = mitsuba_scene(mi, scene, emitter=environment_emitter(mi, environment))
 
-    def half(samples: int, seed: int) -> NDArray[np.float64]:
+    def half(samples: int, number: int) -> NDArray[np.float64]:
+        own = 65537 * seed + number
         if view is not None:
-            return _sample_toward(mi, scene, lit, view, samples, seed, bounces)
-        return _sample_vertices(mi, scene, lit, samples, seed, bounces)
+            return _sample_toward(mi, scene, lit, view, samples, own, bounces)
+        return _sample_vertices(mi, scene, lit, samples, own, bounces)
 
     first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values)
     albedo = scene.mesh.albedo if view is None else 1.0

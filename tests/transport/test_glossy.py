@@ -1,0 +1,141 @@
+"""Transfer toward a camera: any BSDF that is not a delta."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slepian_prt.compression.compressed import compress
+from slepian_prt.errors import UserError
+from slepian_prt.evaluation.reference import vertex_reference
+from slepian_prt.relighting.relight import relight
+from slepian_prt.scene.environments import make_environment, project_environment
+from slepian_prt.scene.loading import open_scene
+from slepian_prt.transport.transfer import precompute
+from tests.conftest import ROOT
+
+AMBIENT = math.sqrt(4 * math.pi)
+
+
+def scene_of(bsdf: str, extra: str = "") -> str:
+    return f"""<scene version="3.0.0">
+      <sensor type="perspective" id="front"><transform name="to_world">
+        <lookat origin="0, -6, 3" target="0, 0, 0" up="0, 0, 1"/></transform></sensor>
+      <shape type="sphere" id="ball">{bsdf}</shape>
+      <shape type="rectangle" id="floor"><transform name="to_world"><scale value="3"/><translate z="-1"/></transform>
+        <bsdf type="diffuse"><rgb name="reflectance" value="0.3, 0.5, 0.7"/></bsdf></shape>
+      {extra}</scene>"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def make(content: str):
+        path = tmp_path / "scene.xml"
+        path.write_text(content)
+        return path
+
+    return make
+
+
+def test_of_diffuse_materials_it_is_diffuse_transfer_times_the_albedo(write):
+    path = write(scene_of('<bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.2, 0.1"/></bsdf>'))
+    toward = precompute(path, 5, 2048, view="front")
+    plain = precompute(path, 5, 2048, effects="direct")
+    seen = toward.axes.any(axis=1)
+    expected = plain.vectors[seen] * plain.mesh.albedo[seen, :, None]
+    assert np.linalg.norm(toward.vectors[seen] - expected) < 0.01 * np.linalg.norm(expected)
+    assert not toward.vectors[~seen].any()
+    np.testing.assert_allclose(toward.mesh.albedo, 1.0)
+
+
+BSDFS = {
+    "blend": """<bsdf type="blendbsdf"><float name="weight" value="0.4"/><bsdf type="diffuse"/>
+        <bsdf type="roughconductor"><string name="distribution" value="ggx"/><float name="alpha" value="0.3"/></bsdf>
+        </bsdf>""",
+    "roughconductor": """<bsdf type="roughconductor"><string name="material" value="Cu"/>
+        <float name="alpha" value="0.25"/></bsdf>""",
+    "roughplastic": """<bsdf type="roughplastic"><float name="alpha" value="0.15"/></bsdf>""",
+    "principled": """<bsdf type="principled"><float name="roughness" value="0.4"/>
+        <float name="specular" value="0.7"/></bsdf>""",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", list(BSDFS))
+def test_agrees_with_the_path_tracer(kind, write):
+    """Under light of low degree, which the bandlimit holds, per vertex against Mitsuba's own path tracer."""
+    path = write(scene_of(BSDFS[kind]))
+    theta = np.linspace(0.0, np.pi, 32)[:, None, None]
+    phi = (np.arange(64) + 0.5)[None, :, None] / 64 * 2 * np.pi
+    light = make_environment((1.0 + 0.7 * np.cos(theta) + 0.2 * np.sin(phi) * np.sin(theta)) * np.ones(3))
+    transfer = precompute(path, 8, 2048, view="front")
+    relit = relight(transfer, project_environment(light, 8))
+    with open_scene(path, view="front") as (mi, scene):
+        reference = vertex_reference(mi, scene, light, noise=0.004, view=transfer.view)
+    ball = slice(0, transfer.parts[0].count)
+    seen = transfer.axes[ball].any(axis=1)
+    eye = np.array(transfer.view.to_world)[:3, 3] - transfer.positions[ball]
+    cosine = np.einsum("ij,ij->i", eye / np.linalg.norm(eye, axis=1, keepdims=True), transfer.normals[ball])
+    seen &= cosine > 0.2  # at the outline the reference sees the facets beside the vertex
+    difference = relit[ball][seen] - reference.radiance[ball][seen]
+    scale = np.sqrt(np.mean(reference.radiance[ball][seen] ** 2))
+    assert np.sqrt(np.mean(difference**2)) < 0.02 * scale + reference.noise * scale
+    assert abs(difference.mean()) < 0.005 * scale
+
+
+def test_lobes_are_clustered_by_reflection(write):
+    """Twice the angle of the normal from the view: the identification (2θ, φ) of the paper."""
+    transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 4, 256, view="front")
+    seen = transfer.axes.any(axis=1)
+    eye = np.array(transfer.view.to_world)[:3, 3] - transfer.positions[seen]
+    eye /= np.linalg.norm(eye, axis=1, keepdims=True)
+    theta = np.arccos(np.clip(np.einsum("ij,ij->i", eye, transfer.normals[seen]), -1, 1))
+    twice = np.arccos(np.clip(np.einsum("ij,ij->i", eye, transfer.axes[seen]), -1, 1))
+    np.testing.assert_allclose(twice, 2.0 * theta, atol=1e-6)
+
+
+def test_compresses_and_comes_back(write, tmp_path):
+    from slepian_prt.compression.compressed import load
+
+    transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 6, 256, view="front")
+    packed = compress(transfer, tolerance=0.05, clusters=24)
+    original = transfer.vectors if packed.channels == 3 else transfer.vectors[:, 0]
+    error = np.linalg.norm(packed.reconstruct() - original) / np.linalg.norm(original)
+    assert error == pytest.approx(0.05, rel=0.15)
+    packed.save(tmp_path / "view.prt")
+    again = load(tmp_path / "view.prt")
+    assert again.toward_view
+    assert again.view == transfer.view
+    np.testing.assert_array_equal(again.reconstruct(), packed.reconstruct())
+    # A measured kernel does better than harmonics at equal numbers of functions.
+    errors = {}
+    for basis in ("adapted", "sh"):
+        of = compress(transfer, basis, terms=16, clusters=24).reconstruct()
+        errors[basis] = np.linalg.norm(of - original)
+    assert errors["adapted"] < 0.7 * errors["sh"]
+
+
+@pytest.mark.parametrize(
+    ("view", "message"), [("back", "no camera 'back'; name one by number or id: 0"), ("7", "no camera")]
+)
+def test_cameras_that_are_not_there(view, message, write):
+    with pytest.raises(UserError, match=message):
+        precompute(write(scene_of(BSDFS["roughplastic"])), 2, 16, view=view)
+
+
+def test_a_camera_of_another_kind(write):
+    content = scene_of(BSDFS["roughplastic"]).replace('type="perspective"', 'type="orthographic"')
+    with pytest.raises(UserError, match="perspective"):
+        precompute(write(content), 2, 16, view="front")
+
+
+def test_the_shipped_scene():
+    transfer = precompute(ROOT / "scenes" / "glossy.xml", 4, 128, view="front")
+    assert [part.name for part in transfer.parts] == ["floor", "metal", "plastic", "principled"]
+    assert transfer.environment is not None
+    verdicts = {effect.name: effect.verdict for effect in transfer.effects}
+    assert verdicts["glossy reflection"] == "simulated"
+    plain = precompute(ROOT / "scenes" / "glossy.xml", 4, 128)
+    named = [effect.name for effect in plain.effects if effect.verdict == "not simulated"]
+    assert any("glossy reflection of shape 'plastic'" in name for name in named)
+    assert any("'metal'" in name for name in named)

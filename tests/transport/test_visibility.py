@@ -1,0 +1,79 @@
+"""Accuracy of adaptive visibility, and shapes whose shadows are known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from slepian_prt.scene.loading import open_scene
+from slepian_prt.slepian.kernels import cosine_lobe
+from slepian_prt.sphere.harmonics import degrees, real_sh
+from slepian_prt.sphere.quadrature import hemisphere_fibonacci
+from slepian_prt.sphere.rotation import rotate_sh
+from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.transfer import precompute
+from slepian_prt.transport.visibility import VisibilityTracer, nodes_for, shadowed_vertices
+
+AMBIENT = math.sqrt(4 * math.pi)
+
+
+def test_a_sphere_above_a_floor(tmp_path):
+    """It blocks r² cos θ / d² of the light, wherever it is whole above the horizon."""
+    path = tmp_path / "scene.xml"
+    path.write_text(
+        """<scene version="3.0.0"><shape type="rectangle" id="floor"><transform name="to_world"><scale value="4"/>
+        </transform><bsdf type="diffuse"/></shape><shape type="sphere"><point name="center" x="0" y="0" z="1.5"/>
+        <float name="radius" value="0.75"/><bsdf type="conductor"/></shape></scene>"""
+    )
+    transfer = precompute(path, 0, 1024)
+    distance = np.linalg.norm(transfer.positions - [0.0, 0.0, 1.5], axis=1)
+    expected = 1.0 - 0.75**2 * 1.5 / distance**3
+    error = transfer.vectors[:, 0, 0] * AMBIENT - expected
+    # The outline is a smooth curve on about 900 nodes: each of its crossings, a few to thirty, is known to an eighth
+    # of an edge. See test_directions for how that adds up to 6e-4 for a curve of length 2.
+    assert np.sqrt(np.mean(error**2)) < 6e-4
+    # The outline is convex and its pieces are chords of a circle: chords of length c lose c²/6 of the disk, with the
+    # mean square of c in a triangular lattice of edge a about a²/3, weighted by length.
+    edge = math.sqrt(2.0 / math.sqrt(3.0) * np.pi / 900)
+    assert 0.0 < error.mean() < 1.5 * edge**2 / 18
+
+
+@pytest.fixture(scope="module")
+def skull(data):
+    """400 vertices of the skull at random, and their blocked transfer by brute force over 65,536 directions."""
+    bandlimit, rays = 10, 65536
+    with open_scene(data / "meshes" / "skull.ply") as (mi, scene):
+        chosen = np.random.default_rng(4).choice(len(scene.mesh.positions), 400, replace=False)
+        tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(256), 0)
+        directions = hemisphere_fibonacci(rays)
+        harmonics = (real_sh(bandlimit, directions) / rays).astype(np.float32)
+        frames, origins = tracer.frames(chosen), scene.ray_origins[chosen]
+        blocked = np.empty((400, harmonics.shape[1]))
+        for i, (frame, origin) in enumerate(zip(frames, origins, strict=True)):
+            world = (directions @ frame.T).astype(np.float32)
+            ray = mi.Ray3f(mi.Point3f(origin.tolist()), mi.Vector3f(world.T))
+            hit = np.array(scene.geometry(mi).ray_test(ray)).astype(np.float32)
+            blocked[i] = rotate_sh(hit @ harmonics, frame)
+        exact = real_sh(bandlimit, scene.mesh.normals[chosen]) * cosine_lobe(bandlimit)[degrees(bandlimit)] - blocked
+        shadowed = np.isin(chosen, np.flatnonzero(shadowed_vertices(scene)))
+    return chosen, exact, shadowed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("samples", "allowed"), [(1024, 0.010), (400, 0.015)])
+def test_few_rays_are_enough_on_the_skull(data, skull, samples, allowed):
+    """Relative error of the transfer vectors, by what a user gets with that number of samples."""
+    chosen, exact, _ = skull
+    transfer = precompute(data / "meshes" / "skull.ply", 10, samples)
+    assert transfer.rays_traced <= samples * len(transfer.positions)
+    error = np.linalg.norm(transfer.vectors[chosen, 0] - exact) / np.linalg.norm(exact)
+    assert error <= allowed
+
+
+@pytest.mark.parametrize("samples", [16, 100, 1024])
+@pytest.mark.parametrize("changes", [0.0, 3.0, 8.0])
+def test_nodes_leave_room_for_bisection(samples, changes):
+    nodes = nodes_for(samples, changes)
+    if nodes > 8:
+        assert nodes + 2.0 * changes * math.sqrt(nodes) <= samples
+        assert nodes + 1 + 2.0 * changes * math.sqrt(nodes + 1) > samples
