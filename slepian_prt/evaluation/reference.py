@@ -15,6 +15,7 @@ from slepian_prt.relighting.picture import Picture, split_alpha
 from slepian_prt.scene.cameras import View, sensor
 from slepian_prt.scene.environments import Environment
 from slepian_prt.scene.scenes import Scene, mitsuba_scene
+from slepian_prt.transport.buried import borrow
 
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
@@ -108,7 +109,11 @@ def vertex_reference(
 
     first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values)
     albedo = scene.mesh.albedo if view is None else 1.0
-    radiance = (0.5 * (first + second) * albedo).astype(np.float32)
+    mean = 0.5 * (first + second)
+    if view is None:
+        # What transport does for vertices inside other geometry.
+        borrow(mi, scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers)).fill(mean)
+    radiance = (mean * albedo).astype(np.float32)
     return ReferenceVertices(radiance, measured, samples, time.perf_counter() - started)
 
 

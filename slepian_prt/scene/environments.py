@@ -164,8 +164,8 @@ def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
     si.wi = -mi.Vector3f(d)
     radiance = np.array(emitter.eval(si)).T
     radiance = np.broadcast_to(radiance, (d.shape[1], 3)).reshape(*shape, 3)
-    solid = np.broadcast_to(np.sin(theta), shape)[..., None]
-    texels = np.sum(radiance * solid, axis=(2, 3)) / np.maximum(np.sum(solid, axis=(2, 3)), 1e-30)
+    solid = np.broadcast_to(np.maximum(np.sin(theta), 1e-6), shape)[..., None]
+    texels = np.sum(radiance * solid, axis=(2, 3)) / np.sum(solid, axis=(2, 3))
     return make_environment(texels, name="scene", origin=f"{origin}: {emitter.class_name()}", clamp_negative=True)
 
 

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 
+# Barycentric interpolation of an attribute may fall this far below zero.
+_ROUNDING = 1e-5
+
 
 def reflects_diffusely(mi: Any, bsdf: Any) -> bool:
     """Whether the material has a diffuse reflecting part."""
@@ -86,6 +89,6 @@ def diffuse_reflectance(
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{origin}: its reflectance cannot be evaluated ({reason}); mend its material") from None
     reflectance = np.broadcast_to(values, (len(normals), 3)).astype(np.float32)
-    if not np.all(np.isfinite(reflectance)) or reflectance.min() < 0.0:
+    if not np.all(np.isfinite(reflectance)) or reflectance.min() < -_ROUNDING:
         raise UserError(f"{origin}: its reflectance is negative or not finite; mend its material")
-    return reflectance
+    return np.maximum(reflectance, 0.0)

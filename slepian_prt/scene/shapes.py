@@ -74,7 +74,12 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float) -> Re
                 origin,
                 len(positions),
             )
+    if kind in _PARAMETRIC and not np.all(np.isfinite(positions)):
+        return None  # Mitsuba cannot evaluate a sheared or flattened shape
     own = kind in _PARAMETRIC or kind == "Cube"
+    if _turned(mi, shape, positions, normals, faces):
+        # Mitsuba flips the normals of what it meets, not those that it keeps at the vertices.
+        normals, faces, own = None if normals is None else -normals, faces[:, ::-1].copy(), True
     mesh = make_mesh(positions, faces, normals=normals, name=name, origin=origin)
     traced = _rebuilt(mi, shape, mesh.normals, positions, faces, uv, name) if own else shape
     albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
@@ -150,6 +155,23 @@ def _rebuilt(
     return made
 
 
+def _turned(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, faces: NDArray) -> bool:
+    """Whether rays meet the shape's surface with the normal opposite to that of the faces or vertices given."""
+    if not shape.has_flipped_normals():
+        return False
+    corner = positions[faces]
+    turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    largest = int(np.argmax(np.einsum("ij,ij->i", turned, turned)))
+    towards = turned[largest] / np.linalg.norm(turned[largest])
+    if normals is not None and normals[faces[largest, 0]] @ towards < 0.0:
+        towards = -towards
+    size = float(np.linalg.norm(np.ptp(corner[largest], axis=0)))
+    start = corner[largest].mean(axis=0) + size * towards
+    ray = mi.Ray3f(mi.Point3f(start.tolist()), mi.Vector3f((-towards).tolist()))
+    met = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
+    return float(np.array(met.n).ravel() @ towards) < 0.0
+
+
 def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
     """Positions, normals, faces and texture coordinates of a Mitsuba mesh."""
     import drjit as dr
@@ -164,7 +186,7 @@ def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, ND
 
 # --- Shapes with a formula -------------------------------------------------------------------------------------------
 
-# The parameters of Mitsuba's shapes are (u, v) in [0, 1]², except that v of a cylinder cannot be exactly 0 or 1.
+# The parameters of Mitsuba's shapes are (u, v) in [0, 1]², but at the borders of a cylinder or a disk it may miss.
 _PARAMETRIC = ("Sphere", "Rectangle", "Disk", "Cylinder")
 _INSET = 1e-6
 
@@ -174,6 +196,7 @@ def _parametric(mi: Any, shape: Any, kind: str, diagonal: float) -> tuple[NDArra
     coarse = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), indexing="ij"), axis=-1)
     points, _ = _evaluate(mi, shape, kind, coarse.reshape(-1, 2))
     grid = points.reshape(9, 9, 3)
+    grid = np.nan_to_num(grid, nan=0.0, posinf=0.0, neginf=0.0)
     along = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).sum(axis=axis).max() for axis in (0, 1)]
     cuts = [_cuts(length, diagonal) for length in along]
     u, v = np.meshgrid(*(np.linspace(0.0, 1.0, n + 1) for n in cuts), indexing="ij")
@@ -185,7 +208,8 @@ def _parametric(mi: Any, shape: Any, kind: str, diagonal: float) -> tuple[NDArra
     corner = positions[faces]
     turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(turned, axis=1)
-    faces, turned = faces[area > 1e-9 * area.max()], turned[area > 1e-9 * area.max()]  # at the poles
+    solid = area > 1e-4 * area.max()  # at the poles triangles have no area but for rounding
+    faces, turned = faces[solid], turned[solid]
     if np.einsum("ij,ij->", turned, normals[faces[:, 0]]) < 0.0:
         faces = faces[:, ::-1]
     used, faces = np.unique(faces, return_inverse=True)  # a pole needs fewer vertices than the grid has there
@@ -193,7 +217,7 @@ def _parametric(mi: Any, shape: Any, kind: str, diagonal: float) -> tuple[NDArra
 
 
 def _evaluate(mi: Any, shape: Any, kind: str, uv: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    at = np.clip(uv, _INSET, 1.0 - _INSET) if kind == "Cylinder" else uv
+    at = np.clip(uv, _INSET, 1.0 - _INSET) if kind in ("Cylinder", "Disk") else uv
     si = shape.eval_parameterization(mi.Point2f(at.T.astype(np.float32)))
     positions, normals = np.array(si.p, dtype=np.float64).T, np.array(si.n, dtype=np.float64).T
     return positions, np.broadcast_to(normals, positions.shape).copy()  # a plane has one normal for all

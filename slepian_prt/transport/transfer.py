@@ -17,6 +17,7 @@ from slepian_prt.scene.environments import Environment
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.scene.scenes import Part
+from slepian_prt.transport.buried import borrow
 from slepian_prt.transport.effects import SIMULATED, Effect, check_effects, plan_effects
 from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interreflection import GATHER_SHARE, bounced, count_bounces, gather_operator
@@ -182,6 +183,10 @@ def precompute(
         direct, blocked, rays = shadowed_transfer(
             mi, opened, bandlimit, plan.nodes, plan.shadowed, seed, lambda done: advance(done, total)
         )
+        dark = np.flatnonzero((blocked >= 1.0) & opened.mesh.receivers)
+        borrowed = borrow(mi, opened, dark)
+        borrowed.fill(direct)
+        borrowed.fill(blocked)
         clock.stop("transport")
         vectors, taken = direct[:, None, :], 0
         if plan.interreflection:
@@ -193,6 +198,7 @@ def precompute(
             needed, _ = count_bounces(gather, reflectance, np.where(opened.mesh.receivers, 1.0 - blocked, 0.0))
             taken = needed if bounces is None else int(bounces)
             vectors = bounced(gather, reflectance, direct, plan.channels, taken)
+            borrowed.fill(vectors)
             rays += gather.rays
             clock.stop("interreflection")
         return Transfer(
