@@ -273,3 +273,64 @@ def test_doctor(capsys):
     findings = {f["subject"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
     assert findings["mitsuba"]["value"].startswith("3.9.")
     assert "Mrays/s" in findings["speed"]["value"]
+
+
+# --- Effects, materials and cameras ----------------------------------------------------------------------------------
+
+
+def test_albedo_brings_interreflection(folder, capsys):
+    out = folder / "bright.prt"
+    assert run(["precompute", folder / "ball.ply", "-o", out, "--albedo", "0.9,0.5,0.2", *SMALL]) == 0
+    assert "interreflection  simulated" in capsys.readouterr().out
+    assert run(["info", out, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["channels"] == 3
+    assert content["bounces"] > 0
+    assert {"name", "verdict", "contribution", "confidence", "rays", "reason"} <= set(content["effects"][0])
+    assert run(["relight", out, "--environment", folder / "map.exr", "-o", folder / "bright.npz"]) == 0
+    assert run(["precompute", folder / "ball.ply", "-o", out, "--albedo", "0.9", "--effects", "direct", *SMALL]) == 0
+    assert "not asked for (--effects direct)" in capsys.readouterr().out
+
+
+def test_a_scene_is_relit_in_its_own_light_by_its_own_camera(folder, capsys):
+    (folder / "scene.xml").write_text(
+        """<scene version="3.0.0"><sensor type="perspective" id="eye"><transform name="to_world">
+        <lookat origin="0, 0, 5" target="0, 0, 0" up="0, 1, 0"/></transform><film type="hdrfilm">
+        <integer name="width" value="40"/><integer name="height" value="30"/></film></sensor>
+        <emitter type="constant"/><shape type="sphere"><bsdf type="diffuse"/></shape></scene>"""
+    )
+    assert run(["precompute", folder / "scene.xml", "-o", folder / "scene.prt", *SMALL]) == 0
+    assert run(["relight", folder / "scene.prt", "-o", folder / "scene.exr"]) == 0
+    pixels = np.array(bitmap_module().Bitmap(str(folder / "scene.exr")))
+    assert pixels.shape == (30, 40, 4)
+    # A convex surface of reflectance 1/2 under light of radiance 1, in the middle of the picture.
+    np.testing.assert_allclose(pixels[15, 20], [0.5, 0.5, 0.5, 1.0], atol=2e-2)
+    assert run(["relight", folder / "scene.prt", "--width", "80", "-o", folder / "scene.exr"]) == 0
+    assert np.array(bitmap_module().Bitmap(str(folder / "scene.exr"))).shape == (60, 80, 4)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--effects", "magic"], "effects must be auto, direct, all, none"),
+        (["--effects", "interreflection"], "interreflection needs shadows"),
+        (["--albedo", "red"], "--albedo must be one number"),
+        (["--albedo", "1.5"], "albedo must be one or three numbers between 0 and 1"),
+        (["--bounces", "-1"], "bounces must be"),
+        (["--view", "front"], "this scene has none"),
+    ],
+)
+def test_bad_effects_and_materials(folder, arguments, message, capsys):
+    out = folder / "never.prt"
+    assert run(["precompute", folder / "ball.ply", "-o", out, *SMALL, *arguments]) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("\n") == 1
+    assert not out.exists()
+
+
+def test_relight_without_any_light(folder, capsys):
+    assert run(["relight", folder / "ball.prt", "-o", folder / "never.npz"]) == 2
+    assert "name a map with --environment" in capsys.readouterr().err
+    assert not (folder / "never.npz").exists()

@@ -113,6 +113,7 @@ class Comparison:
                 for view in self.views
             },
             "bounces": self.transfer.bounces,
+            "toward_camera": self.transfer.toward_view,
             "effects": [effect.as_dict() for effect in self.transfer.effects],
             "rays_traced": self.transfer.rays_traced,
             "seconds": {**self.transfer.seconds, "total": self.seconds},

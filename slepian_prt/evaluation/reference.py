@@ -206,9 +206,10 @@ def _sample_toward(
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     cosine = np.einsum("ij,ij->i", toward, normals)
     facing = np.flatnonzero(cosine > 1e-4)
-    # From a little above the vertex, back onto it: far enough to rise above the offset that transfer starts from.
-    lift = scene.ray_offsets[facing] / np.maximum(cosine[facing], 0.05)
-    origins = scene.ray_origins[facing] + lift[:, None] * toward[facing]
+    # From a little above, back onto the surface under the point that transfer starts from.
+    offsets = scene.ray_offsets[facing]
+    met = scene.ray_origins[facing] - offsets[:, None] * normals[facing]
+    origins = met + (2.0 * offsets / np.maximum(cosine[facing], 0.05))[:, None] * toward[facing]
     total = np.zeros((len(positions), 3))
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
     block = max(1, (1 << 20) // samples)

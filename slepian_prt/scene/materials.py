@@ -39,7 +39,9 @@ def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
 
     notes = []
     if not view and has(flags.GlossyReflection):
-        notes.append(f"glossy reflection of shape '{name}' (simulated for a camera with --view)")
+        notes.append(
+            f"glossy reflection of shape '{name}' (--view simulates it for a camera; the diffuse part counts as Lambertian)"
+        )
     if has(flags.DeltaReflection):
         notes.append(f"mirror reflection of shape '{name}'")
     if has(flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission):

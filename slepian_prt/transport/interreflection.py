@@ -94,11 +94,7 @@ def gather_operator(
         parts.append(weights)
         backs, others = backs + back, others + other
         advance(chosen.size)
-    data = np.concatenate([part.data for part in parts])
-    columns = np.concatenate([part.indices for part in parts])
-    lengths = np.concatenate([np.diff(part.indptr) for part in parts])
-    starts = np.concatenate([[0], np.cumsum(lengths)])
-    joined = csr_array((data, columns, starts), shape=(vertices.size, len(scene.mesh.positions)))
+    joined = _stacked(parts, len(scene.mesh.positions))
     return Gather(vertices, joined, backs / vertices.size, others / vertices.size, tracer.rays)
 
 
@@ -117,7 +113,7 @@ def bounced(
     gather : Gather
     albedo : (V, 3)
     direct : (V, M) float32
-        Direct transfer for unit albedo.
+        Direct transfer for unit albedo. With one channel its memory becomes the result's.
     channels : 1 (their mean stands for all) or 3
     bounces : int
     advance : callable
@@ -127,7 +123,8 @@ def bounced(
     -------
     (V, channels, M) float32
     """
-    total = np.empty((len(direct), channels, direct.shape[1]), dtype=np.float32)
+    # Columns do not depend on each other, so that one channel can be worked on where it is.
+    total = direct[:, None, :] if channels == 1 else np.empty((len(direct), 3, direct.shape[1]), dtype=np.float32)
 
     def bounce(piece: tuple[int, slice]) -> int:
         channel, columns = piece
@@ -182,6 +179,20 @@ def count_bounces(gather: Gather, albedo: NDArray, ambient: NDArray) -> tuple[in
             return count, left
         last = largest
     return _MOST_BOUNCES, left
+
+
+def _stacked(parts: list[csr_array], columns: int) -> csr_array:
+    """The parts below each other; empties the list, because there is not room for everything twice."""
+    starts = np.concatenate([[0], np.cumsum(np.concatenate([np.diff(part.indptr) for part in parts]))])
+    wide = starts[-1] > np.iinfo(np.int32).max
+    indices = np.empty(starts[-1], dtype=np.int64 if wide else np.int32)
+    data = np.empty(starts[-1], dtype=np.float32)
+    first = 0
+    while parts:
+        part = parts.pop(0)
+        indices[first : first + part.nnz], data[first : first + part.nnz] = part.indices, part.data
+        first += part.nnz
+    return csr_array((data, indices, starts.astype(indices.dtype)), shape=(starts.size - 1, columns))
 
 
 class _Gatherer(HemisphereRays):

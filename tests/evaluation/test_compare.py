@@ -4,6 +4,7 @@ import re
 import numpy as np
 import pytest
 
+from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.errors import error_map, relative_rms
 from slepian_prt.evaluation.report import check_folder, write_report
@@ -102,3 +103,42 @@ def test_folder_checks(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="is not a folder"):
         check_folder(tmp_path / "file")
+
+
+CORNER = """<scene version="3.0.0">
+  <sensor type="perspective" id="eye"><float name="fov" value="40"/><transform name="to_world">
+    <lookat origin="3, 2.5, 4" target="0, 0.4, -0.3" up="0, 1, 0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="72"/><integer name="height" value="54"/></film></sensor>
+  <emitter type="constant"><rgb name="radiance" value="1, 1.5, 2"/></emitter>
+  <shape type="rectangle" id="floor"><transform name="to_world"><rotate x="1" angle="-90"/></transform>
+    <bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.8, 0.8"/></bsdf></bsdf></shape>
+  <shape type="rectangle" id="wall"><transform name="to_world"><translate y="1" z="-1"/></transform>
+    <bsdf type="twosided"><bsdf type="{material}"><rgb name="{reflectance}" value="0.9, 0.2, 0.1"/></bsdf></bsdf>
+  </shape>
+</scene>"""
+
+
+@pytest.mark.parametrize("view", [None, "eye"])
+def test_a_mitsuba_scene_in_its_own_light(view, tmp_path):
+    """Its emitter and camera are used, and the references follow what transfer follows: bounces, or gloss."""
+    material = ("diffuse", "reflectance") if view is None else ("roughplastic", "diffuse_reflectance")
+    path = tmp_path / "corner.xml"
+    path.write_text(CORNER.format(material=material[0], reflectance=material[1]))
+    result = compare(path, (), bandlimit=6, samples=512, terms=(9,), bases=("adapted",), noise=0.03, view=view)
+    assert [seen.environment.name for seen in result.views] == ["scene"]
+    assert result.views[0].full.radiance.shape == (54, 72, 3)
+    assert (result.transfer.bounces > 0) == (view is None)
+    assert result.results()["toward_camera"] == (view is not None)
+    full = [rung for rung in result.ladder if rung.stage.startswith("full SH")]
+    for rung in full:
+        # Constant light needs no bandlimit: what is left is noise, interpolation, and at the outline pixels of both.
+        assert rung.error < rung.noise + 0.04
+
+
+def test_a_scene_without_light_of_its_own(tmp_path):
+    path = tmp_path / "dark.xml"
+    path.write_text('<scene version="3.0.0"><shape type="sphere"><bsdf type="diffuse"/></shape></scene>')
+    with pytest.raises(UserError, match="no distant light of its own"):
+        compare(path, ())
+    with pytest.raises(UserError, match="no light: name a map"):
+        compare(tmp_path / "mesh.ply", ())
