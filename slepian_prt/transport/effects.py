@@ -207,8 +207,8 @@ def _look(mi: Any, scene: Scene, possible: NDArray, receivers: int, bandlimit: i
     chosen = np.random.default_rng(seed).choice(possible, min(_PILOT_VERTICES, possible.size), replace=False)
     share = possible.size / receivers
     net = direction_net(_PILOT_NODES)
-    tracer = VisibilityTracer(mi, scene, bandlimit, net, seed)
-    fractions, energy, kept = tracer.survey(chosen)
+    tracer = VisibilityTracer(mi, scene, max(1, bandlimit), net, seed)
+    fractions, energy, kept = tracer.survey(chosen, bandlimit)
     gather = gather_operator(mi, scene, _PILOT_NODES, chosen, None, seed)
     seen = gather.weights @ scene.mesh.albedo.astype(np.float64)
     return _Pilot(
@@ -217,7 +217,7 @@ def _look(mi: Any, scene: Scene, possible: NDArray, receivers: int, bandlimit: i
         _Estimate.of(np.ptp(seen, axis=1), share),
         share * gather.backs,
         tracer.changes / chosen.size / math.sqrt(net.size),
-        max(0.0, 1.0 - kept / energy) if energy > 0.0 else 0.0,
+        share * max(0.0, 1.0 - kept / energy) + (1.0 - share) * _tail_of_cosine(bandlimit) if energy > 0.0 else 0.0,
     )
 
 

@@ -250,15 +250,14 @@ class VisibilityTracer(HemisphereRays):
         """
         return rotate_sh(self._projected(seen), seen.frames), np.all(seen.hit, axis=0)
 
-    def survey(self, vertices: NDArray) -> tuple[NDArray[np.floating], float, float]:
+    def survey(self, vertices: NDArray, bandlimit: int) -> tuple[NDArray[np.floating], float, float]:
         """Blocked part of each hemisphere, (n,), and over all vertices the energy of transfer in all degrees and up
-        to the bandlimit: ∫ (V (n·ω)₊ / π)² dω and Σ_lm t_lm²."""
-        seen = self.look(vertices)
-        lost = self._projected(seen)
-        kept = self.node_table.sum(axis=0) - lost
-        cosine = self.net.weights * self.net.directions[: self.net.size, 2] / math.pi
-        energy = float(cosine @ (~seen.hit).sum(axis=1))
-        return lost[:, 0] * float(_MEAN), energy, float(np.sum(kept.astype(np.float64) ** 2))
+        to ``bandlimit``: ∫ (V (n·ω)₊ / π)² dω and Σ_lm t_lm². The tables must reach degree 1."""
+        lost = self._projected(self.look(vertices))
+        kept = (self.node_table.sum(axis=0) - lost).astype(np.float64)
+        # t_10 in the vertex's frame is (1/π) ∫ V (n·ω)₊² dω times the √(3/4π) of y_10.
+        energy = float(kept[:, 2].sum()) / math.sqrt(3.0 / (4.0 * math.pi)) / math.pi
+        return lost[:, 0] * float(_MEAN), energy, float(np.sum(kept[:, : num_coefficients(bandlimit)] ** 2))
 
     def look(self, vertices: NDArray) -> Seen:
         """Trace from the given vertices."""

@@ -108,3 +108,13 @@ def test_bad_effects(effects):
 def test_bad_options(options, message):
     with pytest.raises(UserError, match=message):
         precompute(sphere(1), 1, 16, **options)
+
+
+def test_what_the_bandlimit_leaves_out_is_foretold():
+    mesh = bumpy(3)
+    row = precompute(mesh, 4, 64).effects[-1]
+    assert row.name == "degrees above 4"
+    high = precompute(mesh, 24, 2048).vectors[:, 0].astype(np.float64)
+    left = math.sqrt(1.0 - (high[:, :25] ** 2).sum() / (high**2).sum())
+    # 256 directions have an error of about 4 % themselves, which hides so much; and degrees above 24 are not counted.
+    assert row.contribution == pytest.approx(left, rel=0.25)
