@@ -40,7 +40,7 @@ effects_option = click.option(
     default="auto",
     show_default=True,
     metavar="WHICH",
-    help="auto, direct, all, none, or some of shadows,interreflection,colour.",
+    help="auto, direct, all, none, or some of shadows,interreflection,colour (each needs those before it).",
 )
 bounces_option = click.option(
     "--bounces", type=int, help="Of light between surfaces.  [default: until what is left is below 0.1 %]"
@@ -193,6 +193,8 @@ def precompute(
             on_plan=print_plan,
             advance=advance,
         )
+    if bounces is not None and transfer.bounces < bounces:
+        note(f"--bounces {bounces} has no effect: no light between surfaces is simulated (see the plan)")
     packed = compress(
         transfer,
         basis,
@@ -310,6 +312,8 @@ def relight(
             if packed.view is None and width is None:
                 width = 800
             camera = picture.trace_camera(mi, scene, width)
+        if not camera.alpha.any():
+            note(f"{output}: the camera sees no front of any surface; the picture is empty")
         picture.write_picture(output, camera.picture(radiance))
     shone = Path(environment).name if environment is not None else "the light of the scene"
     click.echo(f"{output}: {len(radiance)} vertices under {shone}")

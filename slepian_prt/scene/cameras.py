@@ -64,6 +64,9 @@ def view_of(mi: Any, sensor: Any) -> View | None:
         return None
     parameters = mi.traverse(sensor)
     columns, rows = (int(n) for n in sensor.film().size())
+    shifted = [float(np.ravel(parameters[f"principal_point_offset_{axis}"])[0]) for axis in "xy"]
+    if any(shifted) or [int(n) for n in sensor.film().crop_size()] != [columns, rows]:
+        return None  # cropped, or with a shifted lens
     matrix = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     return View(
         sensor.id(),

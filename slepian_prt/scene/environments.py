@@ -55,13 +55,13 @@ class Environment:
 
     def rotated(self, degrees: float) -> Environment:
         """Turned counter-clockwise about the world's up axis y."""
-        if not math.isfinite(degrees):
-            raise UserError(f"rotation must be a finite number of degrees, not {degrees!r}")
         return replace(self, to_world=about_up(degrees) @ self.to_world)
 
 
 def about_up(degrees: float) -> NDArray[np.float64]:
     """Rotation matrix about y by an angle in degrees, counter-clockwise seen from above."""
+    if not math.isfinite(degrees):
+        raise UserError(f"rotation must be a finite number of degrees, not {degrees!r}")
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
@@ -145,8 +145,13 @@ def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
         # Mitsuba repeats the last column before the first, and the first behind the last.
         texels = np.array(parameters["data"])[:, 1:-1, :3] * float(np.ravel(parameters["scale"])[0])
         world = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
+        world = world / np.linalg.norm(world, axis=0)
+        if np.linalg.det(world) < 0.0:  # mirrored, as many exporters do: the map turned left to right instead
+            texels, world = texels[:, ::-1], world * [-1.0, 1.0, 1.0]
+        if np.abs(world @ world.T - np.eye(3)).max() > 1e-4:
+            raise UserError(f"{origin}: the envmap's to_world shears it; use rotations and mirrorings only")
         made = make_environment(texels, name="scene", origin=f"{origin}: envmap", clamp_negative=True)
-        return replace(made, to_world=world / np.linalg.norm(world, axis=0))
+        return replace(made, to_world=world)
     height = 3 if emitter.class_name() == "ConstantBackgroundEmitter" else _SKY_ROWS
     finer = 1 if height == 3 else _SKY_STRATA
     width = 2 * height

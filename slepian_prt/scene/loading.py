@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,8 +18,10 @@ from slepian_prt.scene.cameras import view_of
 from slepian_prt.scene.environments import Environment, emitted_environment
 from slepian_prt.scene.meshes import Mesh, read_mesh
 from slepian_prt.scene.scenes import Part, Scene
-from slepian_prt.scene.shapes import Receiver, mitsuba_mesh, receiver
+from slepian_prt.scene.shapes import Receiver, fewest_cuts, mitsuba_mesh, receiver
 from slepian_prt.scene.variants import mitsuba
+
+log = logging.getLogger(__name__)
 
 
 @contextmanager
@@ -101,17 +104,30 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
     seen_by = view_of(mi, sensor)
     if view is not None and seen_by is None:
         raise UserError(f"{path}: camera {view!r} is a {sensor.class_name()}; a view needs a plain perspective camera")
+    if sensor is not None and seen_by is None:
+        log.info(
+            "%s: camera '%s' is no plain perspective one; pictures of relight are taken by a camera of its own",
+            path,
+            sensor.id(),
+        )
     box = loaded.bbox()
     diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
+    if not np.isfinite(diagonal):
+        raise UserError(f"{path}: its shapes have no finite size; mend their transforms")
     receivers: list[Receiver] = []
     occluders, notes = [], []
     wanted = materials.reflects_diffusely if view is None else materials.reflects_toward_a_view
-    for index, shape in enumerate(loaded.shapes()):
+    shapes = loaded.shapes()
+    fewest = fewest_cuts(len(shapes))
+    for index, shape in enumerate(shapes):
         name = shape.id() or f"shape_{index}"
         bsdf = shape.bsdf()
+        if shape.class_name() in ("Instance", "ShapeGroup"):
+            notes.append(f"shape '{name}' (instances are left out altogether, their shadows too)")
+            continue
         if shape.is_emitter():
             notes.append(f"light emitted by shape '{name}'")
-        made = receiver(mi, shape, name, f"{path}: shape '{name}'", diagonal) if wanted(mi, bsdf) else None
+        made = receiver(mi, shape, name, f"{path}: shape '{name}'", diagonal, fewest) if wanted(mi, bsdf) else None
         if made is not None:
             receivers.append(made)
             notes += materials.left_out(mi, bsdf, name, view=view is not None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,8 @@ def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
         notes.append(f"mirror reflection of shape '{name}'")
     if has(flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission):
         notes.append(f"transmission through shape '{name}'")
+    if re.search("BumpMap|NormalMap", str(bsdf)):
+        notes.append(f"bump or normal map of shape '{name}'")
     if has(flags.Null):
         notes.append(f"transparency of shape '{name}' (it casts full shadows)")
     return notes
@@ -85,6 +88,8 @@ def diffuse_reflectance(
     UserError
         A texture that cannot be evaluated, or is not a reflectance.
     """
+    if not reflects_diffusely(mi, shape.bsdf()):
+        return np.zeros((len(normals), 3), dtype=np.float32)  # what Mitsuba answers for metals is no reflectance
     try:
         values = np.array(shape.bsdf().eval_diffuse_reflectance(surface_points(mi, shape, positions, normals, faces))).T
     except Exception as error:  # whatever a texture plugin raises
@@ -93,4 +98,16 @@ def diffuse_reflectance(
     reflectance = np.broadcast_to(values, (len(normals), 3)).astype(np.float32)
     if not np.all(np.isfinite(reflectance)) or reflectance.min() < -_ROUNDING:
         raise UserError(f"{origin}: its reflectance is negative or not finite; mend its material")
-    return np.maximum(reflectance, 0.0)
+    if reflectance.max() > 1.0 + _ROUNDING:
+        raise UserError(f"{origin}: its reflectance is {reflectance.max():.3g}, and no surface reflects more than 1")
+    return np.clip(reflectance, 0.0, 1.0) * np.float32(_not_metal(mi, shape.bsdf()))
+
+
+def _not_metal(mi: Any, bsdf: Any) -> float:
+    """Part of a ``principled`` material that is no metal: Mitsuba calls all of its base colour diffuse."""
+    if "Principled" not in str(bsdf):
+        return 1.0
+    parameters = mi.traverse(bsdf)
+    names = parameters.keys()
+    metallic = [np.ravel(np.array(parameters[name])) for name in names if name.endswith("metallic.value")]
+    return 1.0 - float(metallic[0][0]) if metallic and metallic[0].size == 1 else 1.0

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.errors import UserError
 from slepian_prt.scene.materials import diffuse_reflectance
 from slepian_prt.scene.meshes import Mesh, make_mesh
 
@@ -19,6 +20,7 @@ _COARSE = 100
 # Shapes that have a formula instead of vertices are cut into faces of about this part of the scene's diagonal.
 _FACE_SIZE = 1.0 / 96.0
 _FEWEST_CUTS, _MOST_CUTS = 48, 128
+_MANY_SHAPES = 20
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +43,12 @@ class Receiver:
     faces: NDArray[np.int64]
 
 
-def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float) -> Receiver | None:
+def fewest_cuts(shapes: int) -> int:
+    """Cuts along a shape that is not a mesh, at least: fewer where a scene has very many."""
+    return max(12, min(_FEWEST_CUTS, round(_FEWEST_CUTS * math.sqrt(_MANY_SHAPES / max(shapes, 1)))))
+
+
+def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewest: int) -> Receiver | None:
     """The shape with vertices, or None for what cannot be given any (curves, implicit surfaces, instances).
 
     Parameters
@@ -50,8 +57,8 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float) -> Re
     shape : Mitsuba shape with a BSDF
     name, origin : str
         For logs and messages.
-    diagonal : float
-        Of the whole scene: sets how finely a shape that is not a mesh is cut.
+    diagonal, fewest
+        Of the whole scene, and the fewest cuts: set how finely a shape that is not a mesh is cut.
 
     Raises
     ------
@@ -61,22 +68,22 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float) -> Re
     normals: NDArray | None
     uv: NDArray | None
     if kind in _PARAMETRIC:
-        positions, normals, faces, uv = _parametric(mi, shape, kind, diagonal)
+        positions, normals, faces, uv = _parametric(mi, shape, kind, origin, diagonal, fewest)
     elif not shape.is_mesh():
         return None
     else:
         positions, normals, faces, uv = _vertices(mi, shape)
         if kind == "Cube":
-            positions, normals, faces, uv = _subdivided(positions, normals, faces, uv, diagonal)
+            positions, normals, faces, uv = _subdivided(positions, normals, faces, uv, diagonal, fewest)
         elif len(positions) < _COARSE:
             log.info(
                 "%s has only %d vertices; light is computed at vertices, so subdivide it to see shadows on it",
                 origin,
                 len(positions),
             )
-    if kind in _PARAMETRIC and not np.all(np.isfinite(positions)):
-        return None  # Mitsuba cannot evaluate a sheared or flattened shape
     own = kind in _PARAMETRIC or kind == "Cube"
+    if own and normals is not None:
+        faces = _along_normals(positions, normals, faces)  # a mirroring to_world turns them
     if _turned(mi, shape, positions, normals, faces):
         # Mitsuba flips the normals of what it meets, not those that it keeps at the vertices.
         normals, faces, own = None if normals is None else -normals, faces[:, ::-1].copy(), True
@@ -155,10 +162,16 @@ def _rebuilt(
     return made
 
 
+def _along_normals(positions: NDArray, normals: NDArray, faces: NDArray) -> NDArray[np.int64]:
+    """The faces, turned where they run against the normals at their corners."""
+    corner = positions[faces]
+    turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    against = np.einsum("ij,ij->i", turned, normals[faces].sum(axis=1)) < 0.0
+    return np.where(against[:, None], faces[:, ::-1], faces)
+
+
 def _turned(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, faces: NDArray) -> bool:
     """Whether rays meet the shape's surface with the normal opposite to that of the faces or vertices given."""
-    if not shape.has_flipped_normals():
-        return False
     corner = positions[faces]
     turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     largest = int(np.argmax(np.einsum("ij,ij->i", turned, turned)))
@@ -186,54 +199,75 @@ def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, ND
 
 # --- Shapes with a formula -------------------------------------------------------------------------------------------
 
-# The parameters of Mitsuba's shapes are (u, v) in [0, 1]², but at the borders of a cylinder or a disk it may miss.
-_PARAMETRIC = ("Sphere", "Rectangle", "Disk", "Cylinder")
-_INSET = 1e-6
+
+def _on_sphere(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+    theta, phi = np.pi * v, 2.0 * np.pi * u
+    p = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    return p, p
 
 
-def _parametric(mi: Any, shape: Any, kind: str, diagonal: float) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def _on_rectangle(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+    return np.column_stack([2.0 * u - 1.0, 2.0 * v - 1.0, 0.0 * u]), np.column_stack([0.0 * u, 0.0 * u, 1.0 + 0.0 * u])
+
+
+def _on_disk(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+    phi = 2.0 * np.pi * v
+    return np.column_stack([u * np.cos(phi), u * np.sin(phi), 0.0 * u]), np.column_stack(
+        [0.0 * u, 0.0 * u, 1.0 + 0.0 * u]
+    )
+
+
+def _on_cylinder(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+    phi = 2.0 * np.pi * u
+    return np.column_stack([np.cos(phi), np.sin(phi), v]), np.column_stack([np.cos(phi), np.sin(phi), 0.0 * u])
+
+
+# Points and normals of Mitsuba's shapes in their own space, by the texture coordinates that Mitsuba gives them.
+_PARAMETRIC = {"Sphere": _on_sphere, "Rectangle": _on_rectangle, "Disk": _on_disk, "Cylinder": _on_cylinder}
+
+
+def _parametric(
+    mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fewest: int
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """A grid over the shape's own parameters, so that textures stay where they are."""
+    matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    linear, offset = matrix[:3, :3], matrix[:3, 3]
+    if not np.all(np.isfinite(matrix)) or abs(np.linalg.det(linear)) <= 1e-12 * np.abs(linear).max() ** 3:
+        raise UserError(f"{origin}: its to_world flattens it to nothing; mend the transform")
+
+    def evaluate(uv: NDArray) -> tuple[NDArray, NDArray]:
+        positions, normals = _PARAMETRIC[kind](uv[:, 0], uv[:, 1])
+        normals = normals @ np.linalg.inv(linear)
+        return positions @ linear.T + offset, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
     coarse = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), indexing="ij"), axis=-1)
-    points, _ = _evaluate(mi, shape, kind, coarse.reshape(-1, 2))
-    grid = points.reshape(9, 9, 3)
-    grid = np.nan_to_num(grid, nan=0.0, posinf=0.0, neginf=0.0)
+    grid = evaluate(coarse.reshape(-1, 2))[0].reshape(9, 9, 3)
     along = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).sum(axis=axis).max() for axis in (0, 1)]
-    cuts = [_cuts(length, diagonal) for length in along]
+    cuts = [_cuts(float(length), diagonal, fewest) for length in along]
     u, v = np.meshgrid(*(np.linspace(0.0, 1.0, n + 1) for n in cuts), indexing="ij")
     uv = np.column_stack([u.ravel(), v.ravel()])
-    positions, normals = _evaluate(mi, shape, kind, uv)
+    positions, normals = evaluate(uv)
     index = np.arange(uv.shape[0]).reshape(u.shape)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
     corner = positions[faces]
-    turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.linalg.norm(turned, axis=1)
-    solid = area > 1e-4 * area.max()  # at the poles triangles have no area but for rounding
-    faces, turned = faces[solid], turned[solid]
-    if np.einsum("ij,ij->", turned, normals[faces[:, 0]]) < 0.0:
-        faces = faces[:, ::-1]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    faces = faces[area > 1e-4 * area.max()]  # at the poles triangles have no area but for rounding
     used, faces = np.unique(faces, return_inverse=True)  # a pole needs fewer vertices than the grid has there
     return positions[used], normals[used], faces.reshape(-1, 3), uv[used]
 
 
-def _evaluate(mi: Any, shape: Any, kind: str, uv: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    at = np.clip(uv, _INSET, 1.0 - _INSET) if kind in ("Cylinder", "Disk") else uv
-    si = shape.eval_parameterization(mi.Point2f(at.T.astype(np.float32)))
-    positions, normals = np.array(si.p, dtype=np.float64).T, np.array(si.n, dtype=np.float64).T
-    return positions, np.broadcast_to(normals, positions.shape).copy()  # a plane has one normal for all
-
-
-def _cuts(length: float, diagonal: float) -> int:
-    return int(np.clip(math.ceil(length / (_FACE_SIZE * diagonal)), _FEWEST_CUTS, _MOST_CUTS))
+def _cuts(length: float, diagonal: float, fewest: int) -> int:
+    return int(np.clip(math.ceil(min(length / max(_FACE_SIZE * diagonal, 1e-300), 1e6)), fewest, _MOST_CUTS))
 
 
 def _subdivided(
-    positions: NDArray, normals: NDArray | None, faces: NDArray, uv: NDArray | None, diagonal: float
+    positions: NDArray, normals: NDArray | None, faces: NDArray, uv: NDArray | None, diagonal: float, fewest: int
 ) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
     """Every triangle cut into n² by interpolation; corners that were apart (hard edges) stay apart."""
     corner = positions[faces]
     longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
-    n = max(2, math.ceil(_cuts(longest, diagonal) / 2))
+    n = max(2, math.ceil(_cuts(longest, diagonal, fewest) / 2))
     i, j = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)]).T
     weights = np.column_stack([n - i - j, i, j]) / n
     number = np.full((n + 1, n + 1), -1)

@@ -101,7 +101,7 @@ def check_effects(effects: str) -> None:
     """Raise UserError unless this is ``auto``, ``direct``, ``all``, ``none`` or a list of effects."""
     if effects in ("auto", "direct", "all", "none"):
         return
-    named = effects.split(",") if isinstance(effects, str) else [effects]
+    named = [name.strip() for name in effects.split(",")] if isinstance(effects, str) else [effects]
     for name in named:
         if name not in EFFECTS:
             raise UserError(
@@ -143,7 +143,7 @@ def plan_effects(
     check_effects(effects)
     forced = {"auto": None, "direct": {"shadows"}, "all": set(EFFECTS), "none": set()}.get(effects)
     if effects not in ("auto", "direct", "all", "none"):
-        forced = set(effects.split(","))
+        forced = {name.strip() for name in effects.split(",")}
     receivers = np.flatnonzero(scene.mesh.receivers)
     possible = np.flatnonzero(shadowed_vertices(scene))
     pilot = _look(mi, scene, possible, receivers.size, bandlimit, seed)

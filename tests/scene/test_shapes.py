@@ -15,6 +15,11 @@ TURNED = (
     '<transform name="to_world"><scale value="2"/><rotate x="1" angle="35"/><rotate z="1" angle="-20"/>'
     '<translate x="3" y="-1" z="0.5"/></transform>'
 )
+RIGHT_ANGLES = (
+    '<transform name="to_world"><scale value="2"/><rotate z="1" angle="90"/><rotate x="1" angle="90"/>'
+    '<translate x="1" y="0.5"/></transform>'
+)
+MIRRORED = '<transform name="to_world"><scale x="-2" y="2" z="2"/><rotate y="1" angle="70"/></transform>'
 AMBIENT = math.sqrt(4 * math.pi)
 
 
@@ -40,10 +45,10 @@ def area(mesh) -> float:
     ],
 )
 @pytest.mark.parametrize("flipped", ["false", "true"])
-def test_shapes_become_meshes(kind, exact, flipped, tmp_path):
-    body = (
-        f'<shape type="{kind}"><boolean name="flip_normals" value="{flipped}"/>{TURNED}<bsdf type="diffuse"/></shape>'
-    )
+@pytest.mark.parametrize("placed", [TURNED, RIGHT_ANGLES, MIRRORED], ids=["turned", "right angles", "mirrored"])
+def test_shapes_become_meshes(kind, exact, flipped, placed, tmp_path):
+    flip = f'<boolean name="flip_normals" value="{flipped}"/>'
+    body = f'<shape type="{kind}">{flip}{placed}<bsdf type="diffuse"/></shape>'
     with open_scene(write(tmp_path, body)) as (mi, scene):
         mesh = scene.mesh
         # 48 cuts around a circle lose (2π/48)²/6 of its area.
@@ -54,7 +59,7 @@ def test_shapes_become_meshes(kind, exact, flipped, tmp_path):
         corner = mesh.positions[mesh.faces]
         turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         assert (np.einsum("ij,ij->i", turned, mesh.normals[mesh.faces[:, 0]]) > 0).all()
-        if kind in ("sphere", "cube", "cylinder"):
+        if kind in ("sphere", "cube", "cylinder") and placed != MIRRORED:
             outward = np.einsum("ij,ij->i", mesh.positions - mesh.positions.mean(axis=0), mesh.normals).mean()
             assert (outward < 0) == (flipped == "true")
         original = mi.load_file(str(tmp_path / "scene.xml"), optimize=False)
@@ -201,9 +206,49 @@ def test_the_scenes_own_light_is_kept_with_the_transfer(tmp_path):
     assert not packed.toward_view
 
 
+def test_mirrored_envmaps_are_turned_left_to_right(rng):
+    texels = rng.random((16, 32, 3)).astype(np.float32)
+    with mitsuba() as mi:
+        mirror = mi.ScalarTransform4f().rotate([0, 1, 0], 25) @ mi.ScalarTransform4f().scale([-1, 1, 1])
+        emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(texels), "to_world": mirror})
+        environment = emitted_environment(mi, emitter, "test")
+        assert np.linalg.det(environment.to_world) == pytest.approx(1.0, abs=1e-5)
+        row, column = 5, 9
+        theta, phi = row / 15 * np.pi, (column + 0.5) / 32 * 2 * np.pi
+        own = [np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta)]
+        si = mi.SurfaceInteraction3f()
+        si.wi = -mi.Vector3f((environment.to_world @ own).astype(np.float32).tolist())
+        np.testing.assert_allclose(np.array(emitter.eval(si)).ravel(), environment.texels[row, column], rtol=1e-3)
+
+
+def test_metal_is_not_diffuse(tmp_path):
+    body = """<shape type="sphere"><bsdf type="principled"><rgb name="base_color" value="0.9, 0.6, 0.3"/>
+      <float name="metallic" value="{metallic}"/></bsdf></shape>"""
+    for metallic in (0.0, 0.25, 1.0):
+        with open_scene(write(tmp_path, body.format(metallic=metallic))) as (_, scene):
+            expected = (1.0 - metallic) * np.float32([0.9, 0.6, 0.3])
+            np.testing.assert_allclose(scene.mesh.albedo - expected, 0.0, atol=1e-6)
+
+
+def test_instances_are_named(tmp_path):
+    body = """<shape type="shapegroup" id="g"><shape type="sphere"><bsdf type="diffuse"/></shape></shape>
+      <shape type="instance" id="i"><ref id="g"/></shape><shape type="rectangle"><bsdf type="diffuse"/></shape>"""
+    effects = precompute(write(tmp_path, body), 1, 16).effects
+    assert any("instances are left out" in effect.name for effect in effects)
+
+
 @pytest.mark.parametrize(
     ("body", "message"),
     [
+        (
+            '<shape type="disk"><transform name="to_world"><scale value="0"/></transform><bsdf type="diffuse"/>'
+            "</shape>",
+            "flattens it to nothing",
+        ),
+        (
+            '<shape type="sphere"><bsdf type="diffuse"><spectrum name="reflectance" value="3"/></bsdf></shape>',
+            "no surface reflects more than 1",
+        ),
         ('<shape type="sphere"><bsdf type="conductor"/></shape>', "nothing in the scene can be lit"),
         (
             '<shape type="sphere"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
