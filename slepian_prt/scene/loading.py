@@ -94,12 +94,16 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
 
 
 def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
+    level = mi.log_level()
     try:
+        mi.set_log_level(mi.LogLevel.Error)  # its warnings go to standard output, where the plan does
         # Unoptimised: merged shapes lose their names, and rectangles in them their resolution.
         loaded = mi.load_file(str(path), optimize=False)
     except Exception as error:  # whatever Mitsuba's parser and plugins raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); mend it there") from None
+    finally:
+        mi.set_log_level(level)
     sensor = _camera(loaded.sensors(), view, path)
     seen_by = view_of(mi, sensor)
     if view is not None and seen_by is None:
