@@ -10,7 +10,7 @@ from slepian_prt.compression import archive
 from slepian_prt.compression.compressed import compress, load
 from slepian_prt.errors import UserError
 from slepian_prt.transport.transfer import precompute
-from tests.conftest import bumpy
+from tests.conftest import bumpy, sphere
 
 
 @pytest.fixture(scope="module", params=["float32", "coded"])
@@ -144,3 +144,11 @@ def test_folder_that_is_missing_or_in_the_way(tmp_path):
             check(tmp_path / "missing" / "out.prt")
         with pytest.raises(UserError, match="is a folder"):
             check(tmp_path)
+
+
+def test_many_functions_of_high_degree_come_back(tmp_path):
+    """More than 2^15 numbers in the tables of radial functions."""
+    transfer = precompute(sphere(3), 20, 16)
+    packed = compress(transfer, "transport", terms=300, clusters=12, coding="float16")
+    packed.save(tmp_path / "high.prt")
+    np.testing.assert_array_equal(load(tmp_path / "high.prt").reconstruct(), packed.reconstruct())
