@@ -149,6 +149,6 @@ def test_folder_that_is_missing_or_in_the_way(tmp_path):
 def test_many_functions_of_high_degree_come_back(tmp_path):
     """More than 2^15 numbers in the tables of radial functions."""
     transfer = precompute(sphere(3), 20, 16)
-    packed = compress(transfer, "transport", terms=300, clusters=12, coding="float16")
+    packed = compress(transfer, "transport", terms=441, clusters=64, coding="float16")
     packed.save(tmp_path / "high.prt")
     np.testing.assert_array_equal(load(tmp_path / "high.prt").reconstruct(), packed.reconstruct())
