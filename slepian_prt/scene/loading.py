@@ -116,7 +116,7 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
         )
     box = loaded.bbox()
     diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
-    if not np.isfinite(diagonal):
+    if loaded.shapes() and not np.isfinite(diagonal):
         raise UserError(f"{path}: its shapes have no finite size; mend their transforms")
     receivers: list[Receiver] = []
     occluders, notes = [], []

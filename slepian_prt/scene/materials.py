@@ -90,8 +90,15 @@ def diffuse_reflectance(
     """
     if not reflects_diffusely(mi, shape.bsdf()):
         return np.zeros((len(normals), 3), dtype=np.float32)  # what Mitsuba answers for metals is no reflectance
+    points = surface_points(mi, shape, positions, normals, faces)
     try:
-        values = np.array(shape.bsdf().eval_diffuse_reflectance(surface_points(mi, shape, positions, normals, faces))).T
+        if "BlendBSDF" in str(shape.bsdf()):
+            # Mitsuba blends in what metals answer; the diffuse lobe itself, straight up and down, is ρ/π.
+            context = mi.BSDFContext()
+            context.type_mask = mi.BSDFFlags.DiffuseReflection
+            values = np.pi * np.array(shape.bsdf().eval(context, points, mi.Vector3f(0.0, 0.0, 1.0))).T
+        else:
+            values = np.array(shape.bsdf().eval_diffuse_reflectance(points)).T
     except Exception as error:  # whatever a texture plugin raises
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{origin}: its reflectance cannot be evaluated ({reason}); mend its material") from None

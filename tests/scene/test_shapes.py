@@ -230,6 +230,13 @@ def test_metal_is_not_diffuse(tmp_path):
             np.testing.assert_allclose(scene.mesh.albedo - expected, 0.0, atol=1e-6)
 
 
+def test_blends_with_metal(tmp_path):
+    body = """<shape type="sphere"><bsdf type="blendbsdf"><float name="weight" value="0.4"/><bsdf type="diffuse"/>
+      <bsdf type="roughconductor"><string name="material" value="Ag"/></bsdf></bsdf></shape>"""
+    with open_scene(write(tmp_path, body)) as (_, scene):
+        np.testing.assert_allclose(scene.mesh.albedo, 0.6 * 0.5, atol=1e-6)
+
+
 def test_instances_are_named(tmp_path):
     body = """<shape type="shapegroup" id="g"><shape type="sphere"><bsdf type="diffuse"/></shape></shape>
       <shape type="instance" id="i"><ref id="g"/></shape><shape type="rectangle"><bsdf type="diffuse"/></shape>"""
