@@ -158,7 +158,7 @@ def _inward(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
 def mitsuba_scene(mi: Any, scene: Scene, **others: Any) -> Any:
     """A Mitsuba scene of the same shapes with other things (emitter, sensor) as given.
 
-    Embree's robust mode costs a few per cent of speed. Without it rays slip between triangles, one in a million on a
+    Embree's robust mode costs about a fifth of the speed. Without it rays slip between triangles, one in a million on a
     scan, and one in four where a model is 1e-8 of the size of the floor under it.
     """
     if mi.variant().startswith("llvm_"):
