@@ -193,6 +193,8 @@ def _lights(mi: Any, emitters: Sequence[Any], origin: str) -> tuple[Environment 
     for emitter in emitters:
         if emitter.is_environment():
             environment = emitted_environment(mi, emitter, origin)
+            if environment.clamped:
+                log.info("%s: %d negative texels of its light set to zero", origin, environment.clamped)
         elif not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
             others.append(f"light of emitter '{emitter.id() or emitter.class_name()}'")
     return environment, others

@@ -73,7 +73,7 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewes
         return None
     else:
         positions, normals, faces, uv = _vertices(mi, shape)
-        if kind == "Cube":
+        if kind == "Cube" and normals is not None and uv is not None:
             positions, normals, faces, uv = _subdivided(positions, normals, faces, uv, diagonal, fewest)
         elif len(positions) < _COARSE:
             log.info(
@@ -88,7 +88,7 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewes
         # Mitsuba flips the normals of what it meets, not those that it keeps at the vertices.
         normals, faces, own = None if normals is None else -normals, faces[:, ::-1].copy(), True
     mesh = make_mesh(positions, faces, normals=normals, name=name, origin=origin)
-    traced = _rebuilt(mi, shape, mesh.normals, positions, faces, uv, name) if own else shape
+    traced = _mesh(mi, shape.bsdf(), name, positions, mesh.normals, faces, uv) if own else shape
     albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
     return Receiver(traced, Mesh(name, mesh.positions, mesh.normals, mesh.faces, albedo, mesh.notes), faces)
 
@@ -146,20 +146,6 @@ def _mesh(
         parameters["vertex_texcoords"] = mi.Float(uv.astype(np.float32).ravel())
     parameters.update()
     return shape
-
-
-def _rebuilt(
-    mi: Any,
-    shape: Any,
-    normals: NDArray,
-    positions: NDArray,
-    faces: NDArray,
-    uv: NDArray | None,
-    name: str,
-) -> Any:
-    made = _mesh(mi, shape.bsdf(), name, positions, normals, faces, uv)
-    made.set_id(name)
-    return made
 
 
 def _along_normals(positions: NDArray, normals: NDArray, faces: NDArray) -> NDArray[np.int64]:
@@ -262,8 +248,8 @@ def _cuts(length: float, diagonal: float, fewest: int) -> int:
 
 
 def _subdivided(
-    positions: NDArray, normals: NDArray | None, faces: NDArray, uv: NDArray | None, diagonal: float, fewest: int
-) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
+    positions: NDArray, normals: NDArray, faces: NDArray, uv: NDArray, diagonal: float, fewest: int
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Every triangle cut into n² by interpolation; corners that were apart (hard edges) stay apart."""
     corner = positions[faces]
     longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
@@ -277,24 +263,14 @@ def _subdivided(
         [(number[a + 1, b], number[a + 1, b + 1], number[a, b + 1]) for a in range(n) for b in range(n - a - 1)]
     )
     pattern = np.concatenate([up, down.reshape(-1, 3)])
-
-    def spread(values: NDArray) -> NDArray:
-        return np.einsum("pk,fkc->fpc", weights, values[faces].astype(np.float64)).reshape(-1, values.shape[1])
-
-    parts = [spread(positions)]
-    if normals is not None:
-        parts.append(spread(normals))
-    if uv is not None:
-        parts.append(spread(uv))
-    # The two triangles of a side share the points along their common edge.
-    table, which = np.unique(np.round(np.concatenate(parts, axis=1), 6), axis=0, return_inverse=True)
-    first = np.full(len(table), -1)
-    first[which.ravel()[::-1]] = np.arange(len(parts[0]))[::-1]
-    cut = (np.arange(len(faces))[:, None, None] * i.size + pattern).reshape(-1, 3)
-    joined = which.ravel()[cut]
-    return (
-        parts[0][first],
-        parts[1][first] if normals is not None else None,
-        joined,
-        parts[-1][first] if uv is not None else None,
+    parts = [
+        np.einsum("pk,fkc->fpc", weights, values[faces].astype(np.float64)).reshape(-1, values.shape[1])
+        for values in (positions, normals, uv)
+    ]
+    # The two triangles of a side share the points along their common edge: those that agree to rounding in everything.
+    in_box = (parts[0] - positions.min(axis=0)) / max(longest, 1e-300)
+    _, first, which = np.unique(
+        np.round(np.concatenate([in_box, *parts[1:]], axis=1), 5), axis=0, return_index=True, return_inverse=True
     )
+    cut = (np.arange(len(faces))[:, None, None] * i.size + pattern).reshape(-1, 3)
+    return parts[0][first], parts[1][first], which.ravel()[cut], parts[2][first]

@@ -294,7 +294,7 @@ def _colour(
     if forced is not None and "colour" in forced:
         return 3, row(SIMULATED, "asked for: three channels")
     if forced is not None:
-        return 1, row(OMITTED, f"not asked for (--effects {effects}); the first channel stands for all")
+        return 1, row(OMITTED, f"not asked for (--effects {effects}); their mean stands for all")
     gray = bool(np.ptp(scene.mesh.albedo, axis=1).max(initial=0.0) == 0.0)
     if gray or tint.mean + tint.half_width < TOLERANCE:
         return 1, row(OMITTED, "surfaces reflect all channels alike onto each other: one channel")

@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.cameras import View
@@ -25,7 +23,8 @@ from slepian_prt.scene.meshes import morton
 from slepian_prt.scene.scenes import Scene
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import hemisphere_fibonacci
-from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+from slepian_prt.sphere.rotation import rotate_sh
+from slepian_prt.transport.visibility import in_blocks, turned_frames
 
 _RAYS_PER_BLOCK = 1 << 19
 _PILOT_VERTICES, _PILOT_SAMPLES = 256, 256
@@ -96,17 +95,7 @@ def view_transfer(
     def project(chosen: NDArray, seen: tuple[NDArray, NDArray]) -> None:
         vectors[chosen] = tracer.project(chosen, *seen)
 
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(1) as worker:
-        pending = None
-        for begin in range(0, facing.size, block):
-            chosen = facing[begin : begin + block]
-            seen = tracer.weights(chosen)
-            if pending is not None:
-                pending.result()
-            pending = worker.submit(project, chosen, seen)
-            advance(chosen.size)
-        if pending is not None:
-            pending.result()
+    in_blocks(facing, block, tracer.weights, project, advance)
     gray = np.abs(vectors - vectors[:, :1]).max(initial=0.0) <= 1e-6 * np.abs(vectors).max(initial=0.0)
     return ViewTransfer(vectors[:, :1].copy() if gray else vectors, axes, tracer.rays)
 
@@ -154,11 +143,7 @@ class _Tracer:
 
     def _frames(self, vertices: NDArray, which: int) -> NDArray[np.float64]:
         """Rotations that take z to the axis of a direction set, after a turn about it."""
-        frames = rotation_to((self._normals, self._axes)[which][vertices])
-        c, s = (f(self._turns[which, vertices])[:, None] for f in (np.cos, np.sin))
-        x, y = frames[:, :, 0].copy(), frames[:, :, 1].copy()
-        frames[:, :, 0], frames[:, :, 1] = c * x + s * y, c * y - s * x
-        return frames
+        return turned_frames((self._normals, self._axes)[which][vertices], self._turns[which, vertices])
 
     def _weights(self, vertices: NDArray, which: int) -> NDArray[np.float32]:
         import drjit as dr

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +17,9 @@ from slepian_prt.scene.cameras import View
 from slepian_prt.scene.environments import Environment
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import Mesh
-from slepian_prt.scene.scenes import Part
+from slepian_prt.scene.scenes import Part, Scene
 from slepian_prt.transport.buried import borrow
-from slepian_prt.transport.effects import SIMULATED, Effect, check_effects, plan_effects
+from slepian_prt.transport.effects import SIMULATED, Effect, Plan, check_effects, plan_effects
 from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interreflection import GATHER_SHARE, bounced, count_bounces, gather_operator
 from slepian_prt.transport.visibility import shadowed_transfer
@@ -155,67 +156,69 @@ def precompute(
         on_plan(plan.effects)
         _remark_on_closed(opened.path, plan.effects)
         clock.stop("plan")
-        count = len(opened.mesh.positions)
-        if toward is not None:
+        mesh, axes, taken = opened.mesh, opened.mesh.normals, 0
+        if toward is None:
+            vectors, taken, rays = _diffuse(mi, opened, plan, bandlimit, int(samples), bounces, seed, clock, advance)
+        else:
+            count = len(mesh.positions)
             shadows = plan.effects[0].verdict == SIMULATED
-            seen = view_transfer(
+            vectors, axes, rays = view_transfer(
                 mi, opened, toward, bandlimit, int(samples), seed, shadows=shadows, advance=lambda n: advance(n, count)
             )
             clock.stop("transport")
-            return Transfer(
-                seen.vectors,
-                replace(opened.mesh, albedo=np.ones_like(opened.mesh.albedo)),
-                opened.parts,
-                bandlimit,
-                int(samples),
-                seed,
-                plan.effects,
-                0,
-                seen.rays,
-                clock.seconds,
-                opened.path,
-                opened.environment,
-                toward,
-                True,
-                seen.axes,
-            )
-        total = count + (plan.shadowed.size if plan.interreflection else 0)
-        direct, blocked, rays = shadowed_transfer(
-            mi, opened, bandlimit, plan.nodes, plan.shadowed, seed, lambda done: advance(done, total)
-        )
-        dark = np.flatnonzero((blocked >= 1.0) & opened.mesh.receivers)
-        borrowed = borrow(mi, opened, dark)
-        borrowed.fill(direct)
-        borrowed.fill(blocked)
-        clock.stop("transport")
-        vectors, taken = direct[:, None, :], 0
-        if plan.interreflection:
-            gather_nodes = max(1, round(GATHER_SHARE * samples))
-            gather = gather_operator(
-                mi, opened, gather_nodes, plan.shadowed, blocked, seed + 1, lambda done: advance(done, total)
-            )
-            reflectance = opened.mesh.albedo
-            needed, _ = count_bounces(gather, reflectance, np.where(opened.mesh.receivers, 1.0 - blocked, 0.0))
-            taken = needed if bounces is None else int(bounces)
-            vectors = bounced(gather, reflectance, direct, plan.channels, taken)
-            borrowed.fill(vectors)
-            rays += gather.rays
-            clock.stop("interreflection")
+            mesh = replace(mesh, albedo=np.ones_like(mesh.albedo))  # the reflectance is in the vectors
         return Transfer(
-            vectors,
-            opened.mesh,
-            opened.parts,
-            bandlimit,
-            int(samples),
-            seed,
-            plan.effects,
-            taken,
-            rays,
-            clock.seconds,
-            opened.path,
-            opened.environment,
-            opened.view,
+            vectors=vectors,
+            mesh=mesh,
+            parts=opened.parts,
+            bandlimit=bandlimit,
+            samples=int(samples),
+            seed=seed,
+            effects=plan.effects,
+            bounces=taken,
+            rays_traced=rays,
+            seconds=clock.seconds,
+            source=opened.path,
+            environment=opened.environment,
+            view=opened.view,
+            toward_view=toward is not None,
+            axes=axes,
         )
+
+
+def _diffuse(
+    mi: Any,
+    scene: Scene,
+    plan: Plan,
+    bandlimit: int,
+    samples: int,
+    bounces: int | None,
+    seed: int,
+    clock: _Clock,
+    advance: Callable[[int, int], None],
+) -> tuple[NDArray[np.float32], int, int]:
+    """Transfer vectors (V, channels, (L+1)²) of diffuse surfaces as planned, the bounces taken, and rays traced."""
+    mesh = scene.mesh
+    total = len(mesh.positions) + (plan.shadowed.size if plan.interreflection else 0)
+
+    def tell(done: int) -> None:
+        advance(done, total)
+
+    direct, blocked, rays = shadowed_transfer(mi, scene, bandlimit, plan.nodes, plan.shadowed, seed, tell)
+    borrowed = borrow(mi, scene, np.flatnonzero((blocked >= 1.0) & mesh.receivers))
+    borrowed.fill(direct)
+    borrowed.fill(blocked)
+    clock.stop("transport")
+    if not plan.interreflection:
+        return direct[:, None, :], 0, rays
+    nodes = max(1, round(GATHER_SHARE * samples))
+    gather = gather_operator(mi, scene, nodes, plan.shadowed, blocked, seed + 1, tell)
+    if bounces is None:
+        bounces, _ = count_bounces(gather, mesh.albedo, np.where(mesh.receivers, 1.0 - blocked, 0.0))
+    vectors = bounced(gather, mesh.albedo, direct, plan.channels, int(bounces))
+    borrowed.fill(vectors)
+    clock.stop("interreflection")
+    return vectors, int(bounces), rays + gather.rays
 
 
 def _check_count(value: object, name: str, smallest: int, largest: int | None) -> None:

@@ -14,7 +14,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ _MEAN = np.float32(math.sqrt(4.0 * math.pi))
 _BLOCKS_WAITING = 3
 
 Progress = Callable[[int], None]
+Found = TypeVar("Found")
 
 
 def unoccluded_transfer(bandlimit: int, normals: NDArray) -> NDArray[np.float32]:
@@ -132,19 +133,41 @@ def shadowed_transfer(
         vectors[chosen[closed]] = 0.0  # exactly, where nothing is seen but surfaces
         blocked[chosen] = np.where(closed, 1.0, lost[:, 0] * _MEAN)
 
-    # One block is projected while the next is traced. BLAS gets one thread, because those that it keeps spinning
-    # after a product would take the cores from the tracer: that alone cost a quarter of the time.
+    in_blocks(vertices, block, tracer.look, project, advance)
+    return vectors, blocked, tracer.rays
+
+
+def in_blocks(
+    vertices: NDArray,
+    size: int,
+    trace: Callable[[NDArray], Found],
+    project: Callable[[NDArray, Found], None],
+    advance: Progress,
+) -> None:
+    """Trace block after block of ``vertices`` and project what was found, each block while the next is traced.
+
+    BLAS gets one thread meanwhile, because those that it keeps spinning after a product would take the cores from the
+    tracer: that alone cost a quarter of the time.
+    """
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(1) as worker:
         pending: deque[Future[None]] = deque()
-        for begin in range(0, vertices.size, block):
-            chosen = vertices[begin : begin + block]
-            pending.append(worker.submit(project, chosen, tracer.look(chosen)))
+        for begin in range(0, vertices.size, size):
+            chosen = vertices[begin : begin + size]
+            pending.append(worker.submit(project, chosen, trace(chosen)))
             if len(pending) > _BLOCKS_WAITING:
                 pending.popleft().result()
             advance(chosen.size)
         for last in pending:
             last.result()
-    return vectors, blocked, tracer.rays
+
+
+def turned_frames(axes: NDArray, turns: NDArray) -> NDArray[np.float64]:
+    """(n, 3, 3) rotations that take z to each axis, after a turn about z by the angles given."""
+    frames = rotation_to(axes)
+    c, s = np.cos(turns)[:, None], np.sin(turns)[:, None]
+    x, y = frames[:, :, 0].copy(), frames[:, :, 1].copy()
+    frames[:, :, 0], frames[:, :, 1] = c * x + s * y, c * y - s * x
+    return frames
 
 
 def nodes_for(samples: float, changes: float) -> int:
@@ -176,11 +199,7 @@ class HemisphereRays:
 
     def frames(self, vertices: NDArray) -> NDArray[np.float64]:
         """(n, 3, 3) rotations that take z to the normal, after a turn about z."""
-        frames = rotation_to(self._normals[vertices])
-        c, s = np.cos(self._turns[vertices])[:, None], np.sin(self._turns[vertices])[:, None]
-        x, y = frames[:, :, 0].copy(), frames[:, :, 1].copy()
-        frames[:, :, 0], frames[:, :, 1] = c * x + s * y, c * y - s * x
-        return frames
+        return turned_frames(self._normals[vertices], self._turns[vertices])
 
     def start(self, vertices: NDArray, frames: NDArray) -> Callable[[Any, Any], Any]:
         """Upload a block of vertices; returns what makes Mitsuba rays of (place in the block, direction of the net)."""
@@ -287,16 +306,15 @@ class VisibilityTracer(HemisphereRays):
     def _close_leaks(self, vertices: NDArray, frames: NDArray, hit: NDArray[np.bool_]) -> None:
         """Look again, beside them, at the last open directions of vertices that see almost nothing of the sky.
 
-        About one ray in a million slips between two triangles; a closed room must be exactly dark all the same.
+        A ray can slip through where walls meet without sharing vertices; a closed room must be exactly dark all the
+        same.
         """
         few_open = np.flatnonzero(self.net.size - hit.sum(axis=0) <= _LEAKS)
         node, which = np.nonzero(~hit[:, few_open])
         if node.size == 0:
             return
         place = few_open[which]
-        c, s = math.cos(_BESIDE), math.sin(_BESIDE)
-        turned = frames @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        rays = self.start(vertices, turned)
+        rays = self.start(vertices, frames @ turned_frames(np.array([[0.0, 0.0, 1.0]]), np.array([_BESIDE]))[0])
         lane = self.mi.UInt32(place.astype(np.uint32))
         ray = rays(lane, self.mi.UInt32(node.astype(np.uint32)))
         hit[node, place] = np.array(self.geometry.ray_test(ray))

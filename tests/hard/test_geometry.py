@@ -36,8 +36,8 @@ def joined(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarra
     return positions, np.concatenate([f + start for (_, f), start in zip(parts, starts, strict=True)])
 
 
-def test_a_sharp_concave_edge_sees_half(rng):
-    """Two large walls at a right angle: a vertex on the edge, whichever wall it belongs to, sees half of its sky."""
+def test_a_sharp_concave_edge_sees_half():
+    """Two walls at a right angle: at their common edge, each fills half of the other's sky, whatever their size."""
     floor_p, faces = grid(40, 20.0)
     wall_p = floor_p[:, [0, 2, 1]] * [1, 1, 1] + [0.0, 10.0, 10.0]
     positions, both = joined((floor_p, faces), (wall_p, faces))  # the wall at y = 10 faces -y
@@ -45,28 +45,21 @@ def test_a_sharp_concave_edge_sees_half(rng):
     on_edge = np.abs(positions[:, 1] - 10.0) + np.abs(positions[:, 2]) < 1e-9
     middle = on_edge & (np.abs(positions[:, 0]) < 1.0)
     assert middle.sum() >= 4
-    # A perpendicular wall of infinite size blocks exactly half. This one, seen from the middle of its foot, leaves
-    # open what is above 20 and beside 10: cos-weighted, by the view factor of a 20 x 20 wall from its foot.
-    w, h = 10.0, 20.0
-    open_part = 1.0 - (math.atan(w / 1e-9) - 0.0) / math.pi  # what an infinitely high wall of this width leaves: none
-    view = (math.atan(w / 1e-9) - 1e-9 / math.hypot(h, 1e-9) * math.atan(w / math.hypot(h, 1e-9))) / math.pi
-    assert open_part == pytest.approx(0.5, abs=1e-6)
-    np.testing.assert_allclose(light[middle], 1.0 - view, atol=0.01)
+    # Rays start 3e-3 inside; beyond the wall's ends, 10 away, lies less than (3e-3 / 10) of the sky. The horizon of the
+    # wall is a straight line through the middle of the disk: see test_directions for 900 nodes, times three.
+    np.testing.assert_allclose(light[middle], 0.5, atol=3e-3)
 
 
-def test_a_welded_concave_edge(rng):
-    """The same edge with one vertex for both walls: its normal leans, and it sees what lies within both."""
+def test_a_welded_concave_edge():
+    """The same edge with one vertex for both walls: its normal leans, and it sees what lies between them."""
     positions, faces = grid(20, 2.0)
     folded = positions.copy()
     behind = positions[:, 1] > 0
     folded[behind, 2], folded[behind, 1] = positions[behind, 1], 0.0
     light = ambient(make_mesh(folded, faces))
-    edge = np.abs(positions[:, 1]) < 1e-9
-    inner = edge & (np.abs(positions[:, 0]) < 0.3)
-    # Each wall's plane is 45° below the horizon of the leaning normal: (1 + cos 45°)/2 blocked on each side is cut to
-    # the wedge between, of cosine-weighted part sin 45°, widened by what shows over walls of finite size.
-    assert (light[inner] > math.sin(math.pi / 4) - 0.02).all()
-    assert (light[inner] < math.sin(math.pi / 4) + 0.15).all()
+    inner = (np.abs(positions[:, 1]) < 1e-9) & (np.abs(positions[:, 0]) < 0.3)
+    # Walls 45° to either side of the normal leave, cosine-weighted, (sin 45° - sin -45°)/2.
+    np.testing.assert_allclose(light[inner], math.sin(math.pi / 4), atol=5e-3)
 
 
 def test_inside_a_crack():

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import t as student_t
 
 from slepian_prt.evaluation.reference import vertex_reference
 from slepian_prt.relighting.relight import relight
@@ -112,8 +113,9 @@ def test_cornell_box_agrees_with_the_path_tracer(cornell):
     difference, noise = relit[lit] - mean[lit], np.sqrt(deviation[lit] ** 2 + own**2)
     z = difference / noise
     assert abs(z.mean()) < 0.15
-    # Where surfaces meet, what a ray finds between two vertices is interpolated: a tail that no noise explains.
-    assert np.mean(np.abs(z) > 3.0) < 0.03
+    # The deviation is estimated from eight runs: Student's t with 7 degrees of freedom, 2.0 % beyond 3. Of some 20,000
+    # vertices, with channels that go together, three standard errors are 0.3 %.
+    assert np.mean(np.abs(z) > 3.0) == pytest.approx(2.0 * student_t.sf(3.0, len(runs) - 1), abs=0.003)
     assert np.sqrt(np.mean(difference**2)) < 1.2 * np.sqrt(np.mean(noise**2))
 
 
