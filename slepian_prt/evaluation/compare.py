@@ -6,7 +6,7 @@ import importlib.metadata
 import math
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import slepian_prt
-from slepian_prt.compression.clusters import cluster_normals
+from slepian_prt.compression.clusters import Clusters, cluster_normals
 from slepian_prt.compression.compressed import CompressedTransfer, compress
 from slepian_prt.errors import UserError, check_terms
 from slepian_prt.evaluation.errors import relative_rms
@@ -24,6 +24,7 @@ from slepian_prt.relighting.picture import Camera, Picture, trace_camera
 from slepian_prt.relighting.relight import negative_part, relight
 from slepian_prt.scene.environments import Environment, project_environment
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.scenes import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import Transfer, precompute
@@ -200,40 +201,17 @@ def compare(
     with open_scene(scene, albedo=albedo, view=view) as (mi, opened):
         status("camera")
         camera = trace_camera(mi, opened, width)
-        views = []
-        for environment, radiance in zip(environments, full, strict=True):
-            status(f"path-traced reference under {environment.name}")
-            reference = render_reference(mi, opened, environment, width=width, noise=noise, bounces=transfer.bounces)
-            reference = replace(reference, picture=camera.masked(reference.picture))
-            status(f"reference at the vertices under {environment.name}")
-            vertices = vertex_reference(
-                mi,
-                opened,
-                environment,
-                noise=noise,
-                bounces=transfer.bounces,
-                view=transfer.view if transfer.toward_view else None,
-            )
-            interpolated = camera.picture(vertices.radiance)
-            views.append(View(environment, reference, vertices, interpolated, camera.picture(radiance)))
+        views = [
+            _view(mi, opened, transfer, environment, camera, radiance, width, noise, status)
+            for environment, radiance in zip(environments, full, strict=True)
+        ]
     shown = min(wanted, key=lambda k: abs(k - 16))
     methods = []
-    for basis in bases:
-        for k in wanted:
-            status(f"{basis}, {k} terms")
-            packed = compress(transfer, basis, terms=k, clusters=grouped, coding="float16")
-            methods.append(_measure(packed, transfer, lighting, full, views, camera))
-            if k == shown:
-                for shown_view, light in zip(views, lighting, strict=True):
-                    shown_view.compressed[basis] = camera.picture(relight(packed, light))
-        if basis in _CODED_BASES:
-            for tolerance in _CODED_TOLERANCES:
-                status(f"{basis}, coded to {tolerance:g}")
-                packed = compress(transfer, basis, tolerance=tolerance, clusters=grouped)
-                methods.append(_measure(packed, transfer, lighting, full, views, camera))
-    status("full SH")
-    none = _measure(compress(transfer, "none", coding="float16"), transfer, lighting, full, views, camera)
-    methods.append(none)
+    for asked, packed in _compressed(transfer, grouped, bases, wanted, status):
+        methods.append(_measure(packed, transfer, lighting, full, views, camera))
+        if asked == shown:
+            for seen, light in zip(views, lighting, strict=True):
+                seen.compressed[packed.basis] = camera.picture(relight(packed, light))
     angles = [cap.half_angle for cap in grouped.caps]
     return Comparison(
         transfer,
@@ -246,6 +224,42 @@ def compare(
         {e.name: negative_part(radiance) for e, radiance in zip(environments, full, strict=True)},
         time.perf_counter() - started,
     )
+
+
+def _view(
+    mi: Any,
+    scene: Scene,
+    transfer: Transfer,
+    environment: Environment,
+    camera: Camera,
+    full: NDArray,
+    width: int | None,
+    noise: float,
+    status: Status,
+) -> View:
+    """References and the picture of full SH radiance, (V, 3), under one environment."""
+    status(f"path-traced reference under {environment.name}")
+    reference = render_reference(mi, scene, environment, width=width, noise=noise, bounces=transfer.bounces)
+    reference = replace(reference, picture=camera.masked(reference.picture))
+    status(f"reference at the vertices under {environment.name}")
+    toward = transfer.view if transfer.toward_view else None
+    vertices = vertex_reference(mi, scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
+    return View(environment, reference, vertices, camera.picture(vertices.radiance), camera.picture(full))
+
+
+def _compressed(
+    transfer: Transfer, grouped: Clusters, bases: Sequence[str], terms: Sequence[int], status: Status
+) -> Iterator[tuple[int | None, CompressedTransfer]]:
+    """Every basis with every number of terms, which is given too, some coded to every tolerance, and full SH last."""
+    for basis in bases:
+        for k in terms:
+            status(f"{basis}, {k} terms")
+            yield k, compress(transfer, basis, terms=k, clusters=grouped, coding="float16")
+        for tolerance in _CODED_TOLERANCES if basis in _CODED_BASES else ():
+            status(f"{basis}, coded to {tolerance:g}")
+            yield None, compress(transfer, basis, tolerance=tolerance, clusters=grouped)
+    status("full SH")
+    yield None, compress(transfer, "none", coding="float16")
 
 
 def _measure(

@@ -284,3 +284,11 @@ def test_an_unreadable_texture(tmp_path):
     )
     with pytest.raises(UserError, match=r"broken\.png"):
         precompute(write(tmp_path, body), 1, 16)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_cubes_of_any_size_are_cut_alike(scale, tmp_path):
+    placed = f'<transform name="to_world"><scale value="{scale}"/></transform>'
+    with open_scene(write(tmp_path, f'<shape type="cube">{placed}<bsdf type="diffuse"/></shape>')) as (_, scene):
+        assert area(scene.mesh) == pytest.approx(24.0 * scale**2, rel=1e-4)
+        assert len(scene.mesh.positions) == 6 * round((len(scene.mesh.faces) / 12) ** 0.5 + 1) ** 2
