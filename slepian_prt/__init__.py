@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from slepian_prt.compression.compressed import CompressedTransfer, compress, load
+    from slepian_prt.compression.compressed import CompressedTransfer, load
+    from slepian_prt.compression.light_prior import falling_prior, measured_prior
+    from slepian_prt.compression.pipeline import compress
     from slepian_prt.errors import UserError
     from slepian_prt.relighting.relight import relight
     from slepian_prt.scene.environments import Environment, project_environment, read_environment
@@ -45,13 +47,15 @@ _HOME = {
     "UserError": "errors",
     "cap_basis": "slepian.concentration",
     "cap_region": "sphere.regions",
-    "compress": "compression.compressed",
+    "compress": "compression.pipeline",
     "concentration_count": "slepian.shannon",
     "cosine_lobe": "slepian.kernels",
     "generalized_shannon_number": "slepian.shannon",
+    "falling_prior": "compression.light_prior",
     "load": "compression.compressed",
     "make_mesh": "scene.meshes",
     "mask_region": "sphere.regions",
+    "measured_prior": "compression.light_prior",
     "measured_moment": "slepian.kernels",
     "minimal_enclosing_cap": "sphere.caps",
     "polygon_region": "sphere.regions",

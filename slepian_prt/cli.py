@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,6 @@ bandlimit_option = click.option(
 samples_option = click.option(
     "--samples", default=1024, show_default=True, help="Rays per vertex, over the hemisphere."
 )
-clusters_option = click.option("--clusters", default=96, show_default=True, help="Number of normal-space caps.")
 effects_option = click.option(
     "--effects",
     default="auto",
@@ -55,6 +54,74 @@ seed_option = click.option("--seed", default=0, show_default=True, help="The sam
 clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
 rotate_option = click.option(
     "--rotate", default=0.0, show_default=True, metavar="DEG", help="Turn the map about the up axis y."
+)
+
+
+def together(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Several options as one decorator."""
+
+    def decorate(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+# What transport is asked for; the keywords of `Job`.
+job_options = together(
+    bandlimit_option, samples_option, effects_option, bounces_option, albedo_option, view_option, seed_option
+)
+
+# What is grouped into caps; keywords of `Settings`.
+grouping_options = together(
+    click.option("--clusters", default=96, show_default=True, help="Number of caps."),
+    click.option(
+        "--group-by",
+        type=click.Choice(["normal", "bent", "surface"]),
+        default="normal",
+        show_default=True,
+        help="Caps of normals, of mean directions of unblocked light, or of patches of the surface.",
+    ),
+    click.option(
+        "--occlusion-classes",
+        default=1,
+        show_default=True,
+        help="Learn separately from so many classes of vertices, from occluded to open.",
+    ),
+)
+
+# How to compress; keywords of `Settings`.
+compression_options = together(
+    click.option(
+        "--basis",
+        type=click.Choice(["adapted", "transport", "slepian", "incident", "sh", "direct", "pca", "cpca", "none"]),
+        default="adapted",
+        show_default=True,
+        help="Functions to compress with.",
+    ),
+    click.option("--tolerance", type=float, help="Wanted relative error.  [default: 0.02]"),
+    click.option("--terms", type=int, help="Instead: this many functions in every cap."),
+    click.option(
+        "--truncate", type=click.Choice(["n_g", "n_ref", "count"]), help="Instead: at the cap's Shannon number."
+    ),
+    click.option("--epsilon", type=float, help="Concentration that --truncate counts down to.  [default: 0.01]"),
+    click.option(
+        "--light-prior",
+        multiple=True,
+        metavar="1/(l+1)|MAP",
+        help="Errors count under light of such a spectrum: falling, or that of a map; maps may be given several times.",
+    ),
+    click.option(
+        "--refine/--no-refine",
+        default=None,
+        help="Principal axes inside the coefficients of each cap.  [default: where it makes the file smaller]",
+    ),
+    click.option(
+        "--coding",
+        type=click.Choice(["coded", "float16", "float32"]),
+        help="Coefficients: predicted, rounded, entropy-coded; or plain.  [default: coded; by --terms float32]",
+    ),
 )
 
 
@@ -131,88 +198,42 @@ def spectrum(
 @cli.command()
 @scene_argument
 @output_option
-@bandlimit_option
-@samples_option
-@click.option(
-    "--basis",
-    type=click.Choice(["adapted", "transport", "slepian", "incident", "sh", "cpca", "direct", "none"]),
-    default="adapted",
-    show_default=True,
-    help="Functions to compress with.",
-)
-@click.option("--tolerance", type=float, help="Truncate at this predicted relative error.  [default: 0.02]")
-@click.option("--terms", type=int, help="Instead: this many functions in every cap.")
-@click.option("--truncate", type=click.Choice(["n_g", "n_ref", "count"]), help="Instead: at the cap's Shannon number.")
-@click.option("--epsilon", default=0.01, show_default=True, help="Concentration that --truncate counts down to.")
-@clusters_option
-@click.option(
-    "--coding",
-    type=click.Choice(["coded", "float16", "float32"]),
-    help="Coefficients: rounded, predicted, entropy-coded; or plain.  [default: coded; by --terms, --truncate float32]",
-)
-@effects_option
-@bounces_option
-@albedo_option
-@view_option
-@seed_option
-def precompute(
-    scene: str,
-    output: str,
-    bandlimit: int,
-    samples: int,
-    basis: str,
-    tolerance: float | None,
-    terms: int | None,
-    truncate: str | None,
-    epsilon: float,
-    clusters: int,
-    coding: str | None,
-    effects: str,
-    bounces: int | None,
-    albedo: str | None,
-    view: str | None,
-    seed: int,
-) -> None:
-    """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file."""
-    from slepian_prt.compression import archive
-    from slepian_prt.compression.compressed import check_options, compress
-    from slepian_prt.transport.transfer import precompute as trace
+@job_options
+@compression_options
+@grouping_options
+def precompute(scene: str, output: str, light_prior: tuple[str, ...], **options: Any) -> None:
+    """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file.
 
-    check_options(basis, tolerance, terms, truncate, epsilon, clusters, coding or "coded", bandlimit)
+    Stopped or killed, the same command goes on from the blocks of vertices that were finished.
+    """
+    from slepian_prt.compression import archive
+    from slepian_prt.compression.pipeline import precompute_compressed
+    from slepian_prt.compression.settings import Settings
+    from slepian_prt.transport.transfer import Job
+
+    job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
+    settings = Settings(**options, light_prior=read_prior(light_prior, job.bandlimit))
+    settings.check(job.bandlimit)
     archive.check_writable(output, scene)
-    with progress("transport", "vertices") as (advance, _):
-        transfer = trace(
-            scene,
-            bandlimit,
-            samples,
-            effects=effects,
-            bounces=bounces,
-            albedo=read_albedo(albedo),
-            view=view,
-            seed=seed,
-            on_plan=print_plan,
-            advance=advance,
-        )
-    if bounces is not None and transfer.bounces < bounces:
-        note(f"--bounces {bounces} has no effect: no light between surfaces is simulated (see the plan)")
-    packed = compress(
-        transfer,
-        basis,
-        tolerance=tolerance,
-        terms=terms,
-        truncate=truncate,
-        epsilon=epsilon,
-        clusters=clusters,
-        coding=coding,
-    )
+    with progress("transport", "vertices") as (advance, tell):
+        packed = precompute_compressed(scene, settings, job, on_plan=print_plan, advance=advance, tell=tell)
+    if job.bounces is not None and packed.bounces < job.bounces:
+        note(f"--bounces {job.bounces} has no effect: no light between surfaces is simulated (see the plan)")
     packed.save(output)
     seconds = packed.seconds
+    under = f" under light of {packed.prior}" if packed.prior else ""
     click.echo(
         f"{output}: {len(packed.mesh.positions)} vertices, {packed.basis}, {packed.terms:.4g} functions of "
-        f"{(bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.1f} bytes per vertex, "
-        f"predicted error {packed.predicted_error:.2g}; "
+        f"{(job.bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.2f} bytes per vertex, "
+        f"predicted error {settings.expected_error(packed.expected):.2g}{under}; "
         f"{packed.rays_traced} rays in {seconds['transport']:.1f} s, compressed in {seconds['compress']:.1f} s"
     )
+
+
+def _take(options: dict[str, Any], kind: Any) -> dict[str, Any]:
+    """Remove and return those options that are fields of a dataclass and need no reading."""
+    names = [field.name for field in fields(kind) if field.name in options and field.name != "albedo"]
+    return {name: options.pop(name) for name in names}
 
 
 @cli.command()
@@ -238,6 +259,8 @@ def info(file: str, as_json: bool) -> None:
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
         "predicted_error": packed.predicted_error,
+        "predicted_relit_error": packed.predicted_relit_error(),
+        "light_prior": packed.prior or None,
         "samples": packed.samples,
         "seed": packed.seed,
         "rays_traced": packed.rays_traced,
@@ -252,7 +275,7 @@ def info(file: str, as_json: bool) -> None:
     content["seconds"] = ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items())
     content["notes"] = "; ".join(packed.mesh.notes) or "none"
     for name, value in content.items():
-        click.echo(f"{name:<17} {f'{value:.4g}' if isinstance(value, float) else value}")
+        click.echo(f"{name:<21} {f'{value:.4g}' if isinstance(value, float) else value}")
     del effects
     print_plan(packed.effects)
 
@@ -328,52 +351,44 @@ def relight(
     help="Map; may be given several times.  [default: the light of the .xml scene]",
 )
 @click.option("-o", "--output", required=True, type=click.Path(), help="Folder for report.html, results.json, figures.")
-@bandlimit_option
-@samples_option
-@clusters_option
-@click.option("--basis", "bases", multiple=True, help="Only these bases; may be given several times.")
+@click.option("--basis", "bases", multiple=True, help="Only these methods; may be given several times.")
 @click.option("--terms", "terms", multiple=True, type=int, help="Numbers of functions; may be given several times.")
-@effects_option
-@bounces_option
-@albedo_option
-@view_option
+@job_options
+@grouping_options
 @rotate_option
 @clamp_option
 @click.option("--width", type=int, help="Of the pictures, in pixels.  [default: that of the scene's camera, or 400]")
 @click.option("--noise", default=0.01, show_default=True, help="Wanted relative noise of the references.")
-@seed_option
 def compare(
     scene: str,
     environment: tuple[str, ...],
     output: str,
-    bandlimit: int,
-    samples: int,
-    clusters: int,
     bases: tuple[str, ...],
     terms: tuple[int, ...],
-    effects: str,
-    bounces: int | None,
-    albedo: str | None,
-    view: str | None,
     rotate: float,
     clamp_negative: bool,
     width: int | None,
     noise: float,
-    seed: int,
+    **options: Any,
 ) -> None:
-    """Compare bases on SCENE: errors against full SH and path-traced references, as a report and as JSON."""
-    from slepian_prt.compression.compressed import check_options
-    from slepian_prt.evaluation import report
-    from slepian_prt.evaluation.compare import DEFAULT_BASES, DEFAULT_TERMS
-    from slepian_prt.evaluation.compare import compare as run
-    from slepian_prt.scene.environments import read_environment
+    """Compare methods on SCENE: errors against full SH and path-traced references, as a report and as JSON.
 
-    for basis in bases:
-        check_options(basis, None, None, None, 0.01, clusters, "coded", bandlimit)
-        if basis == "none":
-            raise UserError("basis none is full SH, which every comparison shows; leave it out")
+    The light of adapted+light is the mean spectrum of the maps.
+    """
+    from slepian_prt.compression.settings import Settings
+    from slepian_prt.evaluation import report
+    from slepian_prt.evaluation.compare import DEFAULT_TERMS
+    from slepian_prt.evaluation.compare import compare as run
+    from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
+    from slepian_prt.scene.environments import read_environment
+    from slepian_prt.transport.transfer import Job
+
+    job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
+    grouping = Settings(**options)
+    grouping.check(job.bandlimit)
+    check_methods(bases)
     for k in terms:
-        check_options("sh", None, k, None, 0.01, clusters, "coded", bandlimit)
+        Settings(terms=k).check(job.bandlimit)
     check_width(width)
     report.check_folder(output)
     maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]
@@ -387,16 +402,10 @@ def compare(
         comparison = run(
             scene,
             maps,
-            bandlimit=bandlimit,
-            samples=samples,
-            clusters=clusters,
-            bases=bases or DEFAULT_BASES,
+            job=job,
+            grouping=grouping,
+            methods=bases or DEFAULT_METHODS,
             terms=terms or DEFAULT_TERMS,
-            effects=effects,
-            bounces=bounces,
-            albedo=read_albedo(albedo),
-            view=view,
-            seed=seed,
             width=width,
             noise=noise,
             status=tell,
@@ -484,6 +493,23 @@ def read_albedo(text: str | None) -> list[float] | None:
         return [float(part) for part in text.split(",")]
     except ValueError:
         raise UserError(f"--albedo must be one number between 0 and 1, or three as R,G,B; not {text!r}") from None
+
+
+def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
+    """The light prior that is named: 1/(l+1), or maps; None if there is none."""
+    from slepian_prt.compression.light_prior import FALLING, falling_prior, measured_prior
+    from slepian_prt.scene.environments import project_environment, read_environment
+
+    if not given:
+        return None
+    if FALLING in given:
+        if len(given) > 1:
+            raise UserError(f"--light-prior is either {FALLING} or maps, not both")
+        return falling_prior(bandlimit)
+    maps = [read_environment(path, clamp_negative=True) for path in given]
+    return measured_prior(
+        [project_environment(light, bandlimit) for light in maps], bandlimit, ", ".join(light.name for light in maps)
+    )
 
 
 def note(text: str) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 
 FORMAT = "slepian_prt transfer"
-VERSION = 1
+VERSION = 2
 
 # A fixed time stamp: the same content gives the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -61,10 +61,10 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
             manifest = json.loads(container.read("manifest.json"))
             if manifest.get("format") != FORMAT:
                 raise UserError(f"{path}: is not a transfer file of slepian-prt; precompute one")
-            if manifest["version"] > VERSION:
+            if manifest["version"] != VERSION:
+                remedy = "update slepian_prt" if manifest["version"] > VERSION else "precompute it again"
                 raise UserError(
-                    f"{path}: has format version {manifest['version']}, this program reads up to {VERSION}; update "
-                    "slepian_prt"
+                    f"{path}: has format version {manifest['version']}, this program reads {VERSION}; {remedy}"
                 )
             arrays = {}
             for name in manifest["arrays"]:

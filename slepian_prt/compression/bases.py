@@ -16,42 +16,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.clusters import Clusters
+from slepian_prt.compression.pilot import Pilot
+from slepian_prt.compression.prediction import by_degree
 from slepian_prt.errors import UserError
-from slepian_prt.slepian.concentration import CapBasis, cap_basis, cap_moment_factors, scatter_radial
-from slepian_prt.slepian.kernels import SecondMoment, cosine_lobe, measured_moment
+from slepian_prt.slepian.concentration import CapBasis, cap_basis, cap_moment_factors, moment_basis, scatter_radial
+from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.caps import Cap
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 
 # Caps share the basis of a cap at most this much wider: a few distinct problems instead of one per cap.
 _ANGLE_STEP = 1.02
 
-# Vertices whose transfer is looked at to learn the second moment of `adapted`.
-PILOT_SIZE = 400
-
-
-def channel_mixing(channels: int) -> NDArray[np.float32]:
-    """Orthonormal rows that turn red, green and blue into channels that hardly correlate: their mean, then tints."""
-    if channels == 1:
-        return np.ones((1, 1), dtype=np.float32)
-    rows = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [1.0, -2.0, 1.0]])
-    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
-
 
 @dataclass(frozen=True)
 class LinearBasis:
-    """K functions of one cap: t ≈ mean + Σ_k c_k f_k with c = fᵀ (t - mean).
+    """K functions of one cap: t ≈ mean + S⁻¹ Σ_k c_k f_k with c = fᵀ S (t - mean), S = diag of the weights.
 
-    The functions are orthonormal. They are kept in whichever of three forms is smallest to store.
+    The functions are orthonormal. They are kept in whichever of three forms is smallest to store; what was rounded to
+    float16 is made orthonormal again before it is used.
 
     Attributes
     ----------
     center : (3,)
-    orders : (K,) int16 or None, radial : (K, L+1) float32 or None
+    orders : (K,) int16 or None, radial : (K, L+1) float32, float16 or None
         Functions of one order each in the cap's frame.
     dense : (K, (L+1)²) float32, float16 or None
         Functions in the world frame. If this and ``radial`` are None, the functions are the first K harmonics.
     mean : (channels, (L+1)²) float32, float16 or None
+    weights : (L+1,) or None
+        Of a light prior, for each degree; None stands for ones.
     count, bandlimit : int
         K and L.
     """
@@ -60,18 +54,38 @@ class LinearBasis:
     bandlimit: int
     count: int
     orders: NDArray[np.int16] | None = None
-    radial: NDArray[np.float32] | None = None
+    radial: NDArray | None = None
     dense: NDArray | None = None
     mean: NDArray | None = None
+    weights: NDArray[np.float64] | None = None
 
-    @cached_property
+    @property
     def functions(self) -> NDArray[np.float64]:
         """(K, (L+1)²) in the world frame."""
         if self.radial is not None and self.orders is not None:
-            return rotate_sh(scatter_radial(self.radial.astype(np.float64), self.orders), rotation_to(self.center))
+            radial = self.radial.astype(np.float64)
+            if self.radial.dtype == np.float16:
+                for m in np.unique(self.orders):
+                    radial[self.orders == m] = orthonormal_rows(radial[self.orders == m])
+            return rotate_sh(scatter_radial(radial, self.orders), rotation_to(self.center))
         if self.dense is not None:
-            return self.dense.astype(np.float64)
+            dense = self.dense.astype(np.float64)
+            return orthonormal_rows(dense) if self.dense.dtype == np.float16 else dense
         return np.eye(self.count, num_coefficients(self.bandlimit))
+
+    @cached_property
+    def analysis(self) -> NDArray[np.float32]:
+        """(K, (L+1)²): what a vector is multiplied with to get its coefficients."""
+        return (self.functions * self._scale).astype(np.float32)
+
+    @cached_property
+    def synthesis(self) -> NDArray[np.float64]:
+        """(K, (L+1)²): what coefficients are multiplied with to get the vector."""
+        return np.asarray(self.functions / self._scale)
+
+    @property
+    def _scale(self) -> NDArray[np.float64]:
+        return np.ones(1) if self.weights is None else self.weights[degrees(self.bandlimit)]
 
     def first(self, count: int) -> LinearBasis:
         """The basis of the first ``count`` functions."""
@@ -84,16 +98,16 @@ class LinearBasis:
         )
 
     def halved(self) -> LinearBasis:
-        """The basis with what depends on the data, ``dense`` and ``mean``, in float16."""
-        half = (None if part is None else part.astype(np.float16) for part in (self.dense, self.mean))
-        dense, mean = half
-        return replace(self, dense=dense, mean=mean)
+        """The basis with all that is stored of it in float16."""
+        parts = (None if part is None else part.astype(np.float16) for part in (self.radial, self.dense, self.mean))
+        radial, dense, mean = parts
+        return replace(self, radial=radial, dense=dense, mean=mean)
 
     def project(self, vectors: NDArray) -> NDArray[np.float32]:
         """(n, K channels) coefficients of transfer vectors (n, channels, (L+1)²); those of one function together."""
         centred = vectors if self.mean is None else vectors - self.mean
         n, channels, size = centred.shape
-        coefficients = centred.reshape(-1, size) @ self.functions.T.astype(np.float32)
+        coefficients = centred.reshape(-1, size) @ self.analysis.T
         by_function = np.swapaxes(coefficients.reshape(n, channels, self.count), 1, 2)
         return by_function.reshape(n, self.count * channels).astype(np.float32)
 
@@ -101,7 +115,7 @@ class LinearBasis:
         """(n, channels, (L+1)²) transfer vectors from (n, K channels) coefficients."""
         n = len(coefficients)
         by_channel = np.swapaxes(coefficients.reshape(n, self.count, channels), 1, 2).reshape(n * channels, self.count)
-        vectors = (by_channel.astype(np.float32) @ self.functions.astype(np.float32)).reshape(
+        vectors = (by_channel.astype(np.float32) @ self.synthesis.astype(np.float32)).reshape(
             n, channels, num_coefficients(self.bandlimit)
         )
         return vectors if self.mean is None else vectors + self.mean
@@ -111,64 +125,15 @@ class LinearBasis:
 
         ``mixing`` (channels, 3) is the part of each channel in red, green and blue.
         """
-        by_function = np.einsum("kc,dc->kdc", self.functions @ lighting.T, mixing)
+        by_function = np.einsum("kc,dc->kdc", self.synthesis @ lighting.T, mixing)
         mean = np.zeros(3) if self.mean is None else np.einsum("dm,cm,dc->c", self.mean, lighting, mixing)
         return by_function.reshape(-1, 3), mean
 
 
-def pack_radial(bases: tuple[LinearBasis, ...]) -> dict[str, NDArray]:
-    """Arrays that hold the radial bases of all caps, each function once.
-
-    Caps of the same shared half-angle have the same functions, and so have the orders m and -m; coefficients of
-    degrees below |m| are zero. Stored are one table of functions per family of caps, the family of each cap, and for
-    each function whether it repeats the one before it.
-    """
-    families: list[tuple[NDArray[np.int16], NDArray[np.float32]]] = []
-    family = np.zeros(len(bases), dtype=np.uint16)
-    for i, basis in enumerate(bases):
-        if basis.orders is None or basis.radial is None:
-            raise ValueError("all bases must be radial")
-        mine = (basis.orders, basis.radial)
-        for j, known in enumerate(families):
-            k = min(len(mine[0]), len(known[0]))
-            if np.array_equal(mine[0][:k], known[0][:k]) and np.array_equal(mine[1][:k], known[1][:k]):
-                families[j], family[i] = (mine if len(mine[0]) > k else known), j
-                break
-        else:
-            family[i] = len(families)
-            families.append(mine)
-    repeats, values = [], []
-    for orders, radial in families:
-        for k, (m, row) in enumerate(zip(orders, radial, strict=True)):
-            repeats.append(k > 0 and np.array_equal(row, radial[k - 1]))
-            if not repeats[-1]:
-                values.append(row[abs(m) :])
-    return {
-        "radial/family": family,
-        "radial/count": np.array([len(orders) for orders, _ in families], dtype=np.uint16),
-        "radial/order": np.concatenate([orders for orders, _ in families]),
-        "radial/repeats": np.packbits(repeats),
-        "radial/values": np.concatenate(values),
-    }
-
-
-def unpack_radial(
-    arrays: dict[str, NDArray], terms: NDArray, bandlimit: int
-) -> tuple[list[NDArray[np.int16]], list[NDArray[np.float32]]]:
-    """Orders and radial coefficients of each cap from what `pack_radial` made."""
-    counts, orders = arrays["radial/count"].astype(np.int64), arrays["radial/order"]
-    repeats = np.unpackbits(arrays["radial/repeats"], count=orders.size).astype(bool)
-    radial = np.zeros((orders.size, bandlimit + 1), dtype=np.float32)
-    taken = 0
-    for k, m in enumerate(np.abs(orders.astype(np.int64)).tolist()):
-        if repeats[k]:
-            radial[k] = radial[k - 1]
-        else:
-            radial[k, m:] = arrays["radial/values"][taken : taken + bandlimit + 1 - m]
-            taken += bandlimit + 1 - m
-    starts = np.concatenate([[0], np.cumsum(counts)])[arrays["radial/family"]]
-    chosen = [slice(start, start + k) for start, k in zip(starts, terms, strict=True)]
-    return [orders[s] for s in chosen], [radial[s] for s in chosen]
+def orthonormal_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Gram-Schmidt of nearly orthonormal rows, in order."""
+    q, r = np.linalg.qr(rows.T)
+    return np.asarray((q * np.where(np.diag(r) < 0.0, -1.0, 1.0)).T)
 
 
 @dataclass(frozen=True)
@@ -178,78 +143,97 @@ class Candidate:
     Attributes
     ----------
     energies : (K_max,)
-        Expected squared coefficient of each function: by the pilot's second moment, and for ``cpca`` as measured.
+        Expected squared coefficient of each function: by the pilot's second moment, and for ``pca`` as measured.
     total : float
-        Expected squared norm of a transfer vector, likewise.
+        Expected squared norm of a (weighted) vector, likewise.
     cut : callable
         Gives the basis of the first K functions.
+    lost : callable
+        Gives the expected squared norm in each degree, (L+1,), of what the first K functions do not hold.
     """
 
     energies: NDArray[np.float64]
     total: float
     cut: Callable[[int], LinearBasis]
+    lost: Callable[[int], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What the builders of bases may look at. Beyond the pilot only ``cpca`` looks at the vectors.
+    """What the builders of analytic bases may look at.
 
-    ``vectors`` (V, channels, (L+1)²) are those of the transfer, ``axes`` (V, 3) what it is concentrated about.
+    Attributes
+    ----------
+    bandlimit : int
+    clusters : Clusters
+    pilot : Pilot
+        Transfer of a few hundred vertices, for each kind of cluster.
+    weights : (L+1,) or None
+        Of a light prior.
     """
 
     bandlimit: int
     clusters: Clusters
-    axes: NDArray[np.float64]
-    vectors: NDArray[np.float32]
-    seed: int = 0
-    _solved: dict[tuple[str, float], Any] = field(default_factory=dict, init=False, repr=False)
-
-    def of(self, members: NDArray) -> NDArray[np.float32]:
-        """(n, channels, (L+1)²) transfer vectors of some vertices, the channels decorrelated."""
-        chosen = self.vectors[members]
-        channels = chosen.shape[1]
-        return chosen if channels == 1 else np.einsum("dc,ncm->ndm", channel_mixing(channels), chosen)
+    pilot: Pilot
+    weights: NDArray[np.float64] | None = None
+    _solved: dict[tuple[Any, ...], Any] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
-    def unoccluded(self) -> NDArray[np.float64]:
-        """Zonal coefficients of diffuse transport without shadows."""
-        return cosine_lobe(self.bandlimit)
+    def scale(self) -> NDArray[np.float64]:
+        """(L+1,) weights, ones if there is no prior."""
+        return np.ones(self.bandlimit + 1) if self.weights is None else self.weights
 
-    @cached_property
-    def pilot_moment(self) -> SecondMoment:
-        """Second moment of a stratified pilot in the vertices' own frames: every n-th vertex in cluster order."""
-        lit = np.any(self.axes != 0.0, axis=1)
-        in_order = np.concatenate(self.clusters.members)
-        in_order = in_order[lit[in_order]]
-        step = max(1, in_order.size // PILOT_SIZE)
-        pilot = in_order[np.random.default_rng(self.seed).integers(step) :: step]
-        to_local = np.swapaxes(rotation_to(self.axes[pilot]), -1, -2)
-        seen = self.of(pilot).astype(np.float64)
-        return measured_moment(rotate_sh(seen, to_local[:, None]).reshape(-1, seen.shape[2]))
+    def functions(self, half_angle: float, kernel: NDArray | None = None) -> CapBasis:
+        """Functions of a cap about z: Slepian functions, or concentrated for a zonal kernel under the light prior."""
+        if kernel is None:
+            return self._once(("plain", half_angle), lambda: cap_basis(self.bandlimit, half_angle))
+        weighted = kernel * self.scale
+        return self._once(("zonal", half_angle), lambda: cap_basis(self.bandlimit, half_angle, kernel=weighted))
 
-    def functions(self, kind: str, half_angle: float) -> CapBasis:
-        """Concentrated functions of a cap about z, solved once for all caps of that (shared) half-angle."""
-        kernel = {"plain": None, "unoccluded": self.unoccluded, "pilot": self.pilot_moment}[kind]
-        return self._once(kind, half_angle, lambda: cap_basis(self.bandlimit, half_angle, kernel=kernel))
+    def adapted(self, kind: int, half_angle: float) -> CapBasis:
+        """Functions of a cap about z from the pilot's second moment, under the light prior."""
 
-    def moment_factors(self, half_angle: float) -> list[NDArray[np.float64]]:
-        """Factors of the pilot's second moment over a cap of that half-angle, by which errors are predicted."""
-        return self._once(
-            "moment", half_angle, lambda: cap_moment_factors(self.bandlimit, half_angle, self.pilot_moment)
-        )
+        def solve() -> CapBasis:
+            return moment_basis(self.bandlimit, half_angle, self.moment_factors(kind, half_angle))
+
+        return self._once(("adapted", kind, half_angle), solve)
+
+    def moment_factors(self, kind: int, half_angle: float) -> list[NDArray[np.float64]]:
+        """Factors of the pilot's weighted second moment over a cap of that half-angle."""
+
+        def solve() -> list[NDArray[np.float64]]:
+            factors = cap_moment_factors(self.bandlimit, half_angle, self.pilot.moments[kind])
+            return [factor * self.scale[m:] for m, factor in enumerate(factors)]
+
+        return self._once(("moment", kind, half_angle), solve)
+
+    def moment_rows(self, kind: int, half_angle: float) -> NDArray[np.float64]:
+        """(r, (L+1)²): the same factors as vectors in the cap's frame, of all orders."""
+
+        def solve() -> NDArray[np.float64]:
+            l = np.arange(self.bandlimit + 1)
+            rows = []
+            for m, factor in enumerate(self.moment_factors(kind, half_angle)):
+                for sign in (1,) if m == 0 else (1, -1):
+                    block = np.zeros((len(factor), num_coefficients(self.bandlimit)))
+                    block[:, l[m:] * (l[m:] + 1) + sign * m] = factor
+                    rows.append(block)
+            return np.concatenate(rows)
+
+        return self._once(("rows", kind, half_angle), solve)
 
     def exit_radiance(self, half_angle: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Orthonormal radial coefficients and orders that span D_t g_i, i = 1, 2, …; see `_slepian`."""
-        return self._once("exit", half_angle, lambda: self._exit_radiance(half_angle))
+        """Orthonormal radial coefficients and orders that span S D_t g_i, i = 1, 2, …; see `_slepian`."""
+        return self._once(("exit", half_angle), lambda: self._exit_radiance(half_angle))
 
-    def _once(self, kind: str, half_angle: float, solve: Callable[[], Any]) -> Any:
-        if (kind, half_angle) not in self._solved:
-            self._solved[kind, half_angle] = solve()
-        return self._solved[kind, half_angle]
+    def _once(self, key: tuple[Any, ...], solve: Callable[[], Any]) -> Any:
+        if key not in self._solved:
+            self._solved[key] = solve()
+        return self._solved[key]
 
     def _exit_radiance(self, half_angle: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        functions = self.functions("plain", half_angle)
-        radial = functions.radial * self.unoccluded
+        functions = self.functions(half_angle)
+        radial = functions.radial * cosine_lobe(self.bandlimit) * self.scale
         kept: list[int] = []
         done: dict[int, list[NDArray]] = {}
         for i, m in enumerate(functions.orders):
@@ -276,78 +260,59 @@ def shared_half_angle(half_angle: float) -> float:
 # --- The bases -------------------------------------------------------------------------------------------------------
 
 
-def _sh(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+def _sh(problem: Problem, cap: Cap, kind: int) -> Candidate:
     """Spherical harmonics in the order of their index."""
     in_cap_frame = rotate_sh(np.eye(num_coefficients(problem.bandlimit)), rotation_to(cap.center).T)
-    return _predicted(problem, cap, in_cap_frame, lambda k: LinearBasis(cap.center, problem.bandlimit, k))
+
+    def cut(k: int) -> LinearBasis:
+        return LinearBasis(cap.center, problem.bandlimit, k, weights=problem.weights)
+
+    return _predicted(problem, cap, kind, in_cap_frame, cut, ("sh", tuple(cap.center)))
 
 
-def _slepian(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+def _slepian(problem: Problem, cap: Cap, kind: int) -> Candidate:
     """The paper's method: Slepian functions of the cap of normals, for exit radiance.
 
     B(n) ≈ Σ_{i<=K} b̄_i g_i(n) with b_lm = A_l e_lm (Lessig & Fiume, Eq. 8) is, for the transfer vector, the span of
     D_t g_i with D_t = diag(A_l). It is orthonormalised in the order of concentration, each order m by itself.
     Functions that the kernel maps into the span of earlier ones (it has no odd degree above 1) are left out.
     """
-    return _radial_candidate(problem, cap, *problem.exit_radiance(shared_half_angle(cap.half_angle)))
+    return _radial_candidate(problem, cap, kind, "slepian", *problem.exit_radiance(shared_half_angle(cap.half_angle)))
 
 
-def _direct(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+def _direct(problem: Problem, cap: Cap, kind: int) -> Candidate:
     """What not to do: transfer vectors projected on the Slepian functions of the cap of *normals* themselves.
 
     Transfer fills the hemisphere about the normal, not the cap.
     """
-    return _of_functions(problem, cap, "plain", cap.half_angle)
+    functions = problem.functions(shared_half_angle(cap.half_angle))
+    return _radial_candidate(problem, cap, kind, "direct", functions.radial, functions.orders)
 
 
-def _incident(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+def _incident(problem: Problem, cap: Cap, kind: int) -> Candidate:
     """Slepian functions of the cap Θ + 90° that holds all transport of the cluster."""
-    return _of_functions(problem, cap, "plain", min(math.pi, cap.half_angle + math.pi / 2))
+    functions = problem.functions(shared_half_angle(min(math.pi, cap.half_angle + math.pi / 2)))
+    return _radial_candidate(problem, cap, kind, "incident", functions.radial, functions.orders)
 
 
-def _transport(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+def _transport(problem: Problem, cap: Cap, kind: int) -> Candidate:
     """Eigenvectors of unoccluded transport's second moment over the cap."""
-    return _of_functions(problem, cap, "unoccluded", cap.half_angle)
+    functions = problem.functions(shared_half_angle(cap.half_angle), cosine_lobe(problem.bandlimit))
+    return _radial_candidate(problem, cap, kind, "transport", functions.radial, functions.orders)
 
 
-def _adapted(problem: Problem, cap: Cap, _members: NDArray) -> Candidate:
+def _adapted(problem: Problem, cap: Cap, kind: int) -> Candidate:
     """Eigenvectors of the pilot's second moment over the cap: knows about shadows."""
-    return _of_functions(problem, cap, "pilot", cap.half_angle)
+    functions = problem.adapted(kind, shared_half_angle(cap.half_angle))
+    return _radial_candidate(problem, cap, kind, "adapted", functions.radial, functions.orders)
 
 
-def _cpca(problem: Problem, cap: Cap, members: NDArray) -> Candidate:
-    """Mean and principal components of the cluster (Sloan et al., SIGGRAPH 2003), the clusters being the caps.
-
-    The first of K terms is the mean, whose coefficient is one and is not stored.
-    """
-    size = num_coefficients(problem.bandlimit)
-    vectors = problem.of(members).astype(np.float64)
-    mean = vectors.mean(axis=0) if members.size else np.zeros(vectors.shape[1:])
-    centred = (vectors - mean).reshape(-1, size)
-    variances, components = np.linalg.eigh(centred.T @ centred / max(members.size, 1))
-    variances, components = np.maximum(variances[::-1], 0.0), components[:, ::-1].T
-    of_mean = float(np.sum(mean * mean))
-    energies = np.concatenate([[of_mean], variances])[:size]
-
-    def cut(k: int) -> LinearBasis:
-        return LinearBasis(
-            cap.center,
-            problem.bandlimit,
-            k - 1,
-            dense=components[: k - 1].astype(np.float32),
-            mean=mean.astype(np.float32),
-        )
-
-    return Candidate(energies, of_mean + float(variances.sum()), cut)
-
-
-BASES: dict[str, Callable[[Problem, Cap, NDArray], Candidate]] = {
+ANALYTIC: dict[str, Callable[[Problem, Cap, int], Candidate]] = {
     "adapted": _adapted,
     "transport": _transport,
     "slepian": _slepian,
     "incident": _incident,
     "sh": _sh,
-    "cpca": _cpca,
     "direct": _direct,
 }
 
@@ -360,18 +325,13 @@ def candidates(name: str, problem: Problem) -> list[Candidate]:
     ValueError
         Unknown name.
     """
-    if name not in BASES:
-        raise UserError(f"basis must be one of {', '.join(BASES)}, not {name!r}")
-    pairs = zip(problem.clusters.caps, problem.clusters.members, strict=True)
-    return [BASES[name](problem, cap, members) for cap, members in pairs]
+    if name not in ANALYTIC:
+        raise UserError(f"basis must be one of {', '.join(ANALYTIC)}, not {name!r}")
+    pairs = zip(problem.clusters.caps, problem.clusters.kinds.tolist(), strict=True)
+    return [ANALYTIC[name](problem, cap, kind) for cap, kind in pairs]
 
 
-def _of_functions(problem: Problem, cap: Cap, kind: str, half_angle: float) -> Candidate:
-    functions = problem.functions(kind, shared_half_angle(half_angle))
-    return _radial_candidate(problem, cap, functions.radial, functions.orders)
-
-
-def _radial_candidate(problem: Problem, cap: Cap, radial: NDArray, orders: NDArray) -> Candidate:
+def _radial_candidate(problem: Problem, cap: Cap, kind: int, name: str, radial: NDArray, orders: NDArray) -> Candidate:
     def cut(k: int) -> LinearBasis:
         return LinearBasis(
             cap.center,
@@ -379,24 +339,39 @@ def _radial_candidate(problem: Problem, cap: Cap, radial: NDArray, orders: NDArr
             min(k, len(orders)),
             orders=orders[:k].astype(np.int16),
             radial=radial[:k].astype(np.float32),
+            weights=problem.weights,
         )
 
-    return _predicted(problem, cap, scatter_radial(radial, orders), cut)
+    # Caps of one half-angle have the same functions and the same expectations.
+    key = (name, shared_half_angle(cap.half_angle))
+    return _predicted(problem, cap, kind, scatter_radial(radial, orders), cut, key)
 
 
-def _predicted(problem: Problem, cap: Cap, in_cap_frame: NDArray, cut: Callable[[int], LinearBasis]) -> Candidate:
-    """A candidate of orthonormal functions, (K_max, (L+1)²) in the cap's frame, with what the pilot lets expect."""
-    factors = problem.moment_factors(shared_half_angle(cap.half_angle))
-    return Candidate(_energies(in_cap_frame, factors), problem.pilot_moment.energy, cut)
+def _predicted(
+    problem: Problem,
+    cap: Cap,
+    kind: int,
+    in_cap_frame: NDArray,
+    cut: Callable[[int], LinearBasis],
+    key: tuple[Any, ...],
+) -> Candidate:
+    """A candidate of orthonormal functions, (K_max, (L+1)²) in the cap's frame, with what the pilot lets expect.
 
+    ``key`` tells which caps have the same functions.
+    """
+    rows = problem.moment_rows(kind, shared_half_angle(cap.half_angle))
+    scale = problem.scale[degrees(problem.bandlimit)]
 
-def _energies(in_cap_frame: NDArray, factors: list[NDArray]) -> NDArray[np.float64]:
-    """fᵀ C_U f of functions given in the cap's frame, (K, (L+1)²)."""
-    bandlimit = len(factors) - 1
-    l = np.arange(bandlimit + 1)
-    energies = np.zeros(len(in_cap_frame))
-    for m, factor in enumerate(factors):
-        column = l[m:] * (l[m:] + 1)
-        for sign in (1,) if m == 0 else (1, -1):
-            energies += np.sum((in_cap_frame[:, column + sign * m] @ factor.T) ** 2, axis=1)
-    return energies
+    def energies() -> NDArray[np.float64]:
+        return np.asarray(np.sum((rows @ in_cap_frame.T) ** 2, axis=0))
+
+    def lost(k: int) -> NDArray[np.float64]:
+        def solve() -> NDArray[np.float64]:
+            kept = in_cap_frame[:k]
+            missing = rows - (rows @ kept.T) @ kept
+            return by_degree(np.sum((missing / scale) ** 2, axis=0))
+
+        return problem._once(("lost", kind, k, *key), solve)
+
+    found = problem._once(("energies", kind, *key), energies)
+    return Candidate(found, float(np.sum(rows**2)), cut, lost)

@@ -1,53 +1,70 @@
-"""Compressed transfer: made from transfer vectors, reconstructed, and written to a file."""
+"""Compressed transfer: reconstructed, relit, written to a file and read again."""
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Iterator
+import zlib
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import slepian_prt
-from slepian_prt.compression import archive, codec, truncation
-from slepian_prt.compression.bases import (
-    BASES,
-    Candidate,
-    LinearBasis,
-    Problem,
-    candidates,
-    channel_mixing,
-    pack_radial,
-    unpack_radial,
-)
-from slepian_prt.compression.clusters import Clusters, cluster_normals
-from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
+from slepian_prt.compression import archive, codec
+from slepian_prt.compression.bases import LinearBasis, shared_half_angle
+from slepian_prt.compression.clusters import Clusters, clusters_of_sites
+from slepian_prt.compression.light_prior import falling_prior, light_power
+from slepian_prt.compression.packing import pack_radial, unpack_radial
+from slepian_prt.compression.pilot import MeanTransfer, channel_mixing
+from slepian_prt.compression.prediction import Expectation
+from slepian_prt.compression.surface import Surface
+from slepian_prt.errors import UserError
 from slepian_prt.scene.cameras import View
-from slepian_prt.scene.environments import project_environment
-from slepian_prt.scene.meshes import Mesh
+from slepian_prt.scene.meshes import Mesh, morton
 from slepian_prt.scene.scenes import Part
+from slepian_prt.slepian.concentration import cap_basis, scatter_radial
 from slepian_prt.sphere.caps import Cap
 from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import LARGEST_BANDLIMIT, Transfer
 
-DEFAULT_CLUSTERS = 96
-DEFAULT_TOLERANCE = 0.02
-LARGEST_CLUSTERS = 4096
-CODINGS = ("coded", "float16", "float32")
-
-# With a given number of functions, rounding may add this part to the squared error of leaving out the others.
-_ROUNDING_SHARE = 0.1
-_FINEST_ROUNDING = 1e-3
-_STEP_SAMPLE = 4096
+# The mean transfer of a cap is held by as many functions as leave out less than this part of it.
+_MEAN_LEFT_OUT = 1e-4
 
 
 @dataclass(frozen=True)
+class Coded:
+    """Coefficients as they are in the file.
+
+    Attributes
+    ----------
+    tuning : codec.Tuning
+    words : tuple of (n,) uint32
+        Of each cap.
+    """
+
+    tuning: codec.Tuning
+    words: tuple[NDArray[np.uint32], ...]
+
+
+class CapCoefficients(NamedTuple):
+    """One cap's coefficients as numbers.
+
+    Attributes
+    ----------
+    values : (n, A) float32
+        In the order of the cap's members.
+    axes : (A, K channels) or None
+        Rows that turn them into coefficients of the cap's basis; None if that is what they are.
+    """
+
+    values: NDArray[np.float32]
+    axes: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class CompressedTransfer:
     """Everything needed to relight a scene.
 
@@ -63,14 +80,17 @@ class CompressedTransfer:
     clusters : Clusters
     channels : 1 or 3
         Of the transfer; three are stored decorrelated, see `channel_mixing`.
-    coefficients : tuple of (n_c, K_c channels) arrays
-        In the order of ``clusters.members``: float32 or float16, or integer multiples of ``step``.
-    coding : str
-        ``coded`` (rounded to multiples of ``step``, predicted and entropy-coded in the file), ``float16``, ``float32``.
-    step : float
-        0 unless coded.
-    predicted_error : float
-        Relative RMS error of the transfer vectors that the basis's own model of transport expects.
+    coefficients : tuple of (n_c, K_c channels) float16 or float32 arrays
+        In the order of ``clusters.members``; empty if coded.
+    coded : Coded or None
+    mean : MeanTransfer or None
+        What the coefficients are added to, told by the normal alone.
+    terms : float
+        Mean number of functions per vertex, the mean of ``pca`` counted as one; if coded, those that are used.
+    prior : str
+        Name of the light prior, if any.
+    expected : Expectation
+        What the pilot lets expect to be lost, in each degree; of coded coefficients, what rounding lost is in it.
     effects : tuple of Effect
     bounces, samples, seed, rays_traced : int
     seconds : dict of str to float
@@ -90,10 +110,12 @@ class CompressedTransfer:
     bases: tuple[LinearBasis, ...]
     clusters: Clusters
     channels: int
-    coefficients: tuple[NDArray, ...]
-    coding: str
-    step: float
-    predicted_error: float
+    coefficients: tuple[NDArray, ...] = ()
+    coded: Coded | None = None
+    mean: MeanTransfer | None = None
+    terms: float
+    prior: str = ""
+    expected: Expectation
     effects: tuple[Effect, ...]
     bounces: int
     samples: int
@@ -106,24 +128,43 @@ class CompressedTransfer:
     toward_view: bool = False
 
     @property
-    def terms(self) -> float:
-        """Mean number of functions per vertex, the mean of ``cpca`` counted as one."""
-        sizes = np.array([len(c) for c in self.coefficients])
-        counts = np.array([basis.count + (basis.mean is not None) for basis in self.bases])
-        return float((sizes * counts).sum() / sizes.sum())
+    def coding(self) -> str:
+        """coded, float16 or float32."""
+        return "coded" if self.coded is not None else str(self.coefficients[0].dtype)
+
+    @property
+    def predicted_error(self) -> float:
+        """Expected relative RMS error of the transfer vectors, or of radiance under white light."""
+        return self.expected.relative()
+
+    def predicted_relit_error(self, lighting: NDArray | None = None) -> float:
+        """Expected relative RMS error of radiance, averaged over the rotations of the light.
+
+        Parameters
+        ----------
+        lighting : (3, (L+1)²), optional
+            By default light that falls as 1/(l+1)².
+        """
+        power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
+        return self.expected.relative(power)
 
     @cached_property
     def bytes_per_vertex(self) -> float:
         """Bytes in the file per vertex for coefficients, bases, caps and cluster indices; the mesh is not counted."""
         return archive.encoded_size(self._transfer_arrays()) / len(self.mesh.positions)
 
+    # --- Use ---------------------------------------------------------------------------------------------------------
+
     def reconstruct(self) -> NDArray[np.float32]:
         """Transfer vectors as the file has them: (V, (L+1)²), or (V, 3, (L+1)²) with three channels."""
         count, size = len(self.mesh.positions), num_coefficients(self.bandlimit)
         vectors = np.empty((count, self.channels, size), dtype=np.float32)
         mixing = channel_mixing(self.channels)
-        for members, basis, values in zip(self.clusters.members, self.bases, self._values(), strict=True):
+        for c, (members, basis, found) in enumerate(zip(self.clusters.members, self.bases, self._decoded, strict=True)):
+            values = found.values if found.axes is None else found.values @ found.axes.astype(np.float32)
             mixed = basis.reconstruct(values, self.channels)
+            if self.mean is not None:
+                mixed[:, 0] += self.mean.vectors(self._axes[members], int(self.clusters.kinds[c]))
             vectors[members] = mixed if self.channels == 1 else np.einsum("dc,ndm->ncm", mixing, mixed)
         vectors[~self.mesh.receivers] = 0.0
         return vectors[:, 0] if self.channels == 1 else vectors
@@ -133,16 +174,67 @@ class CompressedTransfer:
         result = np.empty((len(self.mesh.positions), 3), dtype=np.float32)
         # One channel stands for all three; three are mixed back.
         mixing = np.ones((1, 3)) if self.channels == 1 else channel_mixing(3).astype(np.float64)
-        for members, basis, values in zip(self.clusters.members, self.bases, self._values(), strict=True):
+        for c, (members, basis, found) in enumerate(zip(self.clusters.members, self.bases, self._decoded, strict=True)):
             functions, mean = basis.light(lighting, mixing)
-            result[members] = values @ functions.astype(np.float32) + mean
+            lit = functions if found.axes is None else found.axes @ functions
+            radiance = found.values @ lit.astype(np.float32) + mean
+            if self.mean is not None:
+                model, along = self._means[c]
+                radiance += along @ ((model @ lighting.T) * mixing[0]).astype(np.float32)
+            result[members] = radiance
         result[~self.mesh.receivers] = 0.0
         return result * self.mesh.albedo
 
-    def _values(self) -> Iterator[NDArray[np.float32]]:
-        """Coefficients of each cap as numbers."""
-        scale = np.float32(self.step if self.coding == "coded" else 1.0)
-        return (stored.astype(np.float32) * scale for stored in self.coefficients)
+    def cap(self, number: int) -> tuple[NDArray[np.int64], CapCoefficients]:
+        """One cap's vertices and coefficients, the others left alone."""
+        members = self.clusters.members[number]
+        if self.coded is None:
+            return members, CapCoefficients(self.coefficients[number].astype(np.float32), None)
+        surface = self._surface.cap(members)
+        components = self.bases[number].count * self.channels
+        decoded = codec.decode_cap(self.coded.words[number], components, surface, self.coded.tuning)
+        values = np.empty(decoded.multiples.shape, dtype=np.float32)
+        values[np.searchsorted(members, surface.order)] = decoded.multiples * (self.coded.tuning.step / codec.PARTS)
+        return members, CapCoefficients(values, decoded.axes)
+
+    @cached_property
+    def _decoded(self) -> list[CapCoefficients]:
+        return [self.cap(c)[1] for c in range(len(self.bases))]
+
+    @cached_property
+    def _surface(self) -> Surface:
+        return Surface(self.mesh)
+
+    @cached_property
+    def _axes(self) -> NDArray[np.float64]:
+        """Normals as the file has them."""
+        return self.mesh.normals.astype(np.float32).astype(np.float64)
+
+    @cached_property
+    def _means(self) -> list[tuple[NDArray[np.float64], NDArray[np.float32]]]:
+        """The mean transfer of each cap as few functions (k, (L+1)²) and coefficients (n, k) of them.
+
+        R_n t̄ over a cap lies in the span of what concentrates the kernel t̄ on it.
+        """
+        assert self.mean is not None
+        solved: dict[tuple[int, float], NDArray[np.float64]] = {}
+        parts = []
+        for cap, members, kind in zip(
+            self.clusters.caps, self.clusters.members, self.clusters.kinds.tolist(), strict=True
+        ):
+            half_angle = shared_half_angle(cap.half_angle)
+            if (kind, half_angle) not in solved:
+                basis = cap_basis(self.bandlimit, half_angle, kernel=self.mean.zonal[kind].astype(np.float64))
+                left = np.cumsum(basis.eigenvalues[::-1])[::-1]
+                count = max(1, int(np.sum(left > _MEAN_LEFT_OUT**2 * left[0])))
+                solved[kind, half_angle] = scatter_radial(basis.radial[:count], basis.orders[:count])
+            model = rotate_sh(solved[kind, half_angle], rotation_to(cap.center))
+            along = np.empty((members.size, len(model)), dtype=np.float32)
+            for begin in range(0, members.size, 8192):
+                block = slice(begin, begin + 8192)
+                along[block] = self.mean.vectors(self._axes[members[block]], kind) @ model.T.astype(np.float32)
+            parts.append((model, along))
+        return parts
 
     # --- File --------------------------------------------------------------------------------------------------------
 
@@ -160,11 +252,14 @@ class CompressedTransfer:
             "bounces": self.bounces,
             "basis": self.basis,
             "coding": self.coding,
-            "step": self.step,
+            "step": 0.0 if self.coded is None else self.coded.tuning.step,
+            "terms": self.terms,
+            "prior": self.prior,
             "parts": [[part.name, part.first, part.count] for part in self.parts],
             "name": self.mesh.name,
             "notes": list(self.mesh.notes),
-            "predicted_error": self.predicted_error,
+            "expected_lost": self.expected.lost.tolist(),
+            "expected_total": self.expected.total.tolist(),
             "effects": [effect.as_dict() for effect in self.effects],
             "samples": self.samples,
             "seed": self.seed,
@@ -185,59 +280,54 @@ class CompressedTransfer:
         archive.write(path, manifest, {**mesh, **light, **self._transfer_arrays()})
 
     def _transfer_arrays(self) -> dict[str, NDArray]:
-        caps = self.clusters.caps
-        arrays: dict[str, NDArray] = {
-            "clusters/index": self.clusters.index.astype(np.uint8 if len(caps) <= 256 else np.uint16),
-            "caps/center": np.array([cap.center for cap in caps]),
-            "caps/half_angle": np.array([cap.half_angle for cap in caps]),
-            "caps/terms": np.array([basis.count for basis in self.bases], dtype=np.uint16),
-        }
-        if self.coding == "coded":
-            arrays |= self._coded_arrays()
+        arrays = _cluster_arrays(self.clusters, self.mesh, self.coded is not None)
+        if self.coded is not None:
+            arrays |= _coded_arrays(self.coded)
         else:
             arrays["coefficients"] = np.concatenate([values.ravel() for values in self.coefficients])
+        counts = np.array([basis.count for basis in self.bases], dtype=np.uint16)
+        if np.ptp(counts) or self.coded is None:
+            arrays["caps/terms"] = counts
+        else:
+            arrays["caps/terms"] = counts[:1]
         if self.bases[0].radial is not None:
             arrays |= pack_radial(self.bases)
         for name in ("dense", "mean"):
             parts = [getattr(basis, name) for basis in self.bases]
             if parts[0] is not None:
                 arrays[f"basis/{name}"] = np.concatenate([np.atleast_1d(part).ravel() for part in parts])
+        if self.bases[0].weights is not None:
+            arrays["basis/weights"] = self.bases[0].weights
+        if self.mean is not None:
+            arrays["mean/zonal"] = self.mean.zonal
         return arrays
 
-    def _coded_arrays(self) -> dict[str, NDArray]:
-        order, neighbours = _surface(self.mesh, self.clusters)
-        quantised = [
-            values[np.searchsorted(members, along)]
-            for values, members, along in zip(self.coefficients, self.clusters.members, order, strict=True)
-        ]
-        coded = codec.encode(quantised, neighbours)
-        return {
-            "coded/words": np.concatenate([cap.words for cap in coded.caps]),
-            "coded/lengths": np.array([cap.words.size for cap in coded.caps], dtype=np.uint32),
-            "coded/classes": np.concatenate([cap.classes for cap in coded.caps]),
-            "coded/escapes": np.concatenate([cap.escapes for cap in coded.caps]),
-            "coded/escape_counts": np.array([cap.escapes.size for cap in coded.caps], dtype=np.uint32),
-            "coded/histograms": coded.histograms,
-            "coded/shrink": coded.shrink,
-        }
+
+def _cluster_arrays(clusters: Clusters, mesh: Mesh, by_site: bool) -> dict[str, NDArray]:
+    """Which vertex belongs where, and the frames of the caps."""
+    arrays: dict[str, NDArray] = {}
+    if clusters.sites is not None:
+        arrays["clusters/sites"] = clusters.sites
+    else:
+        # Along the surface neighbours mostly are of one cluster, which deflates well.
+        along = np.argsort(morton(mesh.positions), kind="stable")
+        arrays["clusters/index"] = clusters.index[along].astype(np.uint8 if len(clusters.caps) <= 256 else np.uint16)
+        if clusters.kinds.any():
+            arrays["clusters/kinds"] = clusters.kinds.astype(np.uint8)
+    if not (by_site and clusters.sites is not None):
+        arrays["caps/center"] = np.array([cap.center for cap in clusters.caps])
+        arrays["caps/half_angle"] = np.array([cap.half_angle for cap in clusters.caps])
+    return arrays
 
 
-def _surface(mesh: Mesh, clusters: Clusters) -> tuple[list[NDArray], list[Any]]:
-    """Members of each cap in the order of coding, and who neighbours whom among them."""
-    order = codec.surface_order(mesh.positions, clusters.members)
-    pattern = codec.adjacency(mesh.faces, len(mesh.positions))
-    return order, [pattern[along][:, along] for along in order]
-
-
-def _decoded(arrays: dict[str, NDArray], mesh: Mesh, clusters: Clusters, widths: NDArray) -> tuple[NDArray, ...]:
-    """Multiples of the step of each cap from the ``coded/`` arrays, in the order of ``clusters.members``."""
-    order, neighbours = _surface(mesh, clusters)
-    words = np.split(arrays["coded/words"], np.cumsum(arrays["coded/lengths"].astype(np.int64))[:-1])
-    classes = np.split(arrays["coded/classes"], np.cumsum(widths)[:-1])
-    escapes = np.split(arrays["coded/escapes"], np.cumsum(arrays["coded/escape_counts"].astype(np.int64))[:-1])
-    caps = tuple(codec.CodedCap(*parts) for parts in zip(words, classes, escapes, strict=True))
-    quantised = codec.decode(codec.Coded(caps, arrays["coded/histograms"], arrays["coded/shrink"]), neighbours)
-    return tuple(q[np.argsort(along)] for q, along in zip(quantised, order, strict=True))
+def _coded_arrays(coded: Coded) -> dict[str, NDArray]:
+    checksums = [[words.size, zlib.crc32(words.astype("<u4").tobytes())] for words in coded.words]
+    return {
+        "coded/words": np.concatenate([np.zeros(0, dtype=np.uint32), *coded.words]),
+        "coded/caps": np.array(checksums, dtype=np.uint32),
+        "coded/shrink": coded.tuning.shrink,
+        "coded/models": coded.tuning.models,
+    }
 
 
 def load(path: str | Path) -> CompressedTransfer:
@@ -246,18 +336,19 @@ def load(path: str | Path) -> CompressedTransfer:
     Raises
     ------
     UserError
-        Missing, foreign, cut short, damaged, or from a newer version.
+        Missing, foreign, cut short, damaged, or from another version.
     """
     manifest, arrays = archive.read(path)
     try:
-        return _from_archive(manifest, arrays)
-    except (KeyError, ValueError, IndexError, TypeError) as error:
+        packed = _from_archive(manifest, arrays)
+        packed._decoded  # noqa: B018 - now, so that damage is found here
+    except (KeyError, ValueError, IndexError, TypeError, AssertionError) as error:
         raise UserError(f"{path}: its contents do not fit together ({error!r}); precompute it again") from None
+    return packed
 
 
 def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> CompressedTransfer:
-    bandlimit = int(manifest["bandlimit"])
-    size, channels = num_coefficients(bandlimit), int(manifest["channels"])
+    bandlimit, channels = int(manifest["bandlimit"]), int(manifest["channels"])
     mesh = Mesh(
         manifest["name"],
         arrays["mesh/positions"],
@@ -266,231 +357,97 @@ def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compr
         arrays["mesh/albedo"],
         tuple(manifest["notes"]),
     )
-    caps = tuple(Cap(c, float(a)) for c, a in zip(arrays["caps/center"], arrays["caps/half_angle"], strict=True))
-    clusters = Clusters(arrays["clusters/index"].astype(np.int32), caps)
-    terms = arrays["caps/terms"].astype(np.int64)
-    starts = np.cumsum(terms)[:-1]
-    unknown: list[Any] = [None] * len(caps)
-    orders, radial = unpack_radial(arrays, terms, bandlimit) if "radial/order" in arrays else (unknown, unknown)
-    dense = np.split(arrays["basis/dense"].reshape(-1, size), starts) if "basis/dense" in arrays else unknown
-    mean = list(arrays["basis/mean"].reshape(-1, channels, size)) if "basis/mean" in arrays else unknown
-    bases = tuple(
-        LinearBasis(cap.center, bandlimit, int(k), *parts)
-        for cap, k, *parts in zip(caps, terms, orders, radial, dense, mean, strict=True)
-    )
+    clusters = _clusters(arrays, mesh)
+    terms = np.broadcast_to(arrays["caps/terms"].astype(np.int64), len(clusters.caps))
+    bases = _bases(arrays, clusters, terms, bandlimit, channels, manifest["coding"] == "coded")
+    coded: Coded | None = None
+    coefficients: tuple[NDArray, ...] = ()
     if manifest["coding"] == "coded":
-        coefficients = _decoded(arrays, mesh, clusters, terms * channels)
+        coded = _coded(arrays, float(manifest["step"]), len(bases))
     else:
-        sizes = np.array([len(members) for members in clusters.members])
-        widths = terms * channels
-        lengths = sizes * widths
+        lengths = clusters.sizes * terms * channels
         if lengths.sum() != arrays["coefficients"].size:
             raise ValueError("number of coefficients")
         pieces = np.split(arrays["coefficients"], np.cumsum(lengths)[:-1])
-        coefficients = tuple(piece.reshape(n, k) for piece, n, k in zip(pieces, sizes, widths, strict=True))
-    return CompressedTransfer(
-        mesh,
-        tuple(Part(name, first, number) for name, first, number in manifest["parts"]),
-        bandlimit,
-        manifest["basis"],
-        bases,
-        clusters,
-        channels,
-        coefficients,
-        manifest["coding"],
-        float(manifest["step"]),
-        float(manifest["predicted_error"]),
-        tuple(Effect(**effect) for effect in manifest["effects"]),
-        int(manifest["bounces"]),
-        int(manifest["samples"]),
-        int(manifest["seed"]),
-        int(manifest["rays_traced"]),
-        dict(manifest["seconds"]),
-        manifest["source"],
-        arrays.get("environment/lighting"),
-        None if manifest["view"] is None else View(**manifest["view"]),
-        bool(manifest["toward_view"]),
-    )
-
-
-# --- Compression -----------------------------------------------------------------------------------------------------
-
-
-def compress(
-    transfer: Transfer,
-    basis: str = "adapted",
-    *,
-    tolerance: float | None = None,
-    terms: int | None = None,
-    truncate: str | None = None,
-    epsilon: float = 0.01,
-    clusters: int | Clusters = DEFAULT_CLUSTERS,
-    coding: str | None = None,
-) -> CompressedTransfer:
-    """Cluster, project, truncate and code transfer vectors.
-
-    Parameters
-    ----------
-    transfer : Transfer
-    basis : one of adapted, transport, slepian, incident, sh, cpca, direct, none
-        ``none`` keeps all (L+1)² spherical harmonics.
-    tolerance : float > 0
-        Wanted relative error of the transfer vectors; the default rule, at 0.02. Of coefficients that are ``coded``
-        the rounding step meets it (functions that round to zero cost nothing); otherwise the number of functions does,
-        by prediction.
-    terms : int
-        Instead: this many functions in each cap.
-    truncate : n_g, n_ref or count
-        Instead: the Shannon number of each cap, with ``epsilon``.
-    clusters : int, or Clusters made before
-    coding : coded, float16 or float32
-        By default ``coded`` with a tolerance, and ``float32`` with a given number of functions.
-
-    Raises
-    ------
-    ValueError
-        An unknown name, a number outside its range, or more than one truncation rule.
-    """
-    by_number = basis == "none" or terms is not None or truncate is not None
-    coding = coding or ("float32" if by_number else "coded")
-    wanted = clusters if isinstance(clusters, int) else 1
-    check_options(basis, tolerance, terms, truncate, epsilon, wanted, coding, transfer.bandlimit)
-    started = time.perf_counter()
-    if basis == "none":
-        basis, terms, tolerance, truncate, clusters = "sh", num_coefficients(transfer.bandlimit), None, None, 1
-        label = "none"
-    else:
-        label = basis
-    if not isinstance(clusters, Clusters):
-        clusters = cluster_normals(transfer.axes, clusters)
-    channels = transfer.vectors.shape[1]
-    problem = Problem(transfer.bandlimit, clusters, transfer.axes, transfer.vectors, transfer.seed)
-    found = candidates(basis, problem)
-    sizes = np.array([len(members) for members in clusters.members])
-    by_rounding = coding == "coded" and not by_number
-    if by_rounding:
-        counts = np.array([candidate.energies.size for candidate in found])
-    else:
-        counts = _terms(found, clusters, transfer.bandlimit, sizes, tolerance, terms, truncate, epsilon)
-    bases = tuple(candidate.cut(int(k)) for candidate, k in zip(found, counts, strict=True))
-    if coding != "float32":
-        bases = tuple(b.halved() for b in bases)
-    predicted, step = truncation.predicted_error(found, counts, sizes), 0.0
-    if coding == "coded":
-        asked = DEFAULT_TOLERANCE if tolerance is None else tolerance
-        rounding = max(math.sqrt(_ROUNDING_SHARE) * predicted, _FINEST_ROUNDING)
-        if by_rounding:
-            rounding = math.sqrt(max(asked**2 - predicted**2, 0.01 * asked**2))
-        step, rounding = _rounding_step(problem, clusters, bases, rounding, transfer.seed)
-        predicted = math.hypot(predicted, rounding)
-        bases, coefficients = _rounded(problem, clusters, bases, step)
-    else:
-        kind = np.float16 if coding == "float16" else np.float32
         coefficients = tuple(
-            b.project(problem.of(members)).astype(kind) for b, members in zip(bases, clusters.members, strict=True)
+            piece.reshape(n, k) for piece, n, k in zip(pieces, clusters.sizes, terms * channels, strict=True)
         )
-    own = transfer.environment
     return CompressedTransfer(
-        transfer.mesh,
-        transfer.parts,
-        transfer.bandlimit,
-        label,
-        bases,
-        clusters,
-        channels,
-        coefficients,
-        coding,
-        step,
-        predicted,
-        transfer.effects,
-        transfer.bounces,
-        transfer.samples,
-        transfer.seed,
-        transfer.rays_traced,
-        {**transfer.seconds, "compress": time.perf_counter() - started},
-        transfer.source,
-        None if own is None else project_environment(own, transfer.bandlimit),
-        transfer.view,
-        transfer.toward_view,
+        mesh=mesh,
+        parts=tuple(Part(name, first, number) for name, first, number in manifest["parts"]),
+        bandlimit=bandlimit,
+        basis=manifest["basis"],
+        bases=bases,
+        clusters=clusters,
+        channels=channels,
+        coefficients=coefficients,
+        coded=coded,
+        mean=MeanTransfer(arrays["mean/zonal"]) if "mean/zonal" in arrays else None,
+        terms=float(manifest["terms"]),
+        prior=manifest["prior"],
+        expected=Expectation(np.array(manifest["expected_lost"]), np.array(manifest["expected_total"])),
+        effects=tuple(Effect(**effect) for effect in manifest["effects"]),
+        bounces=int(manifest["bounces"]),
+        samples=int(manifest["samples"]),
+        seed=int(manifest["seed"]),
+        rays_traced=int(manifest["rays_traced"]),
+        seconds=dict(manifest["seconds"]),
+        source=manifest["source"],
+        lighting=arrays.get("environment/lighting"),
+        view=None if manifest["view"] is None else View(**manifest["view"]),
+        toward_view=bool(manifest["toward_view"]),
     )
 
 
-def _rounding_step(
-    problem: Problem, clusters: Clusters, bases: tuple[LinearBasis, ...], error: float, seed: int
-) -> tuple[float, float]:
-    """The step whose rounding makes a relative error of ``error``, from a sample of the vertices, and that error."""
-    rng = np.random.default_rng(seed)
-    chosen = np.zeros(len(problem.vectors), dtype=bool)
-    chosen[rng.permutation(len(problem.vectors))[:_STEP_SAMPLE]] = True
-    energy = float(np.sum(problem.vectors[chosen].astype(np.float64) ** 2))
-    if energy == 0.0:
-        return 1.0, 0.0  # nothing but zeros: any step does
-    sampled = [
-        b.project(problem.of(members[chosen[members]])) for b, members in zip(bases, clusters.members, strict=True)
-    ]
-    return codec.step_for(sampled, error * error * energy), error
+def _clusters(arrays: dict[str, NDArray], mesh: Mesh) -> Clusters:
+    caps: tuple[Cap, ...] = ()
+    if "caps/center" in arrays:
+        pairs = zip(arrays["caps/center"], arrays["caps/half_angle"], strict=True)
+        caps = tuple(Cap(center, float(half_angle)) for center, half_angle in pairs)
+    if "clusters/sites" in arrays:
+        found = clusters_of_sites(arrays["clusters/sites"], mesh.normals)
+        return Clusters(found.index, caps or found.caps, sites=found.sites)
+    index = np.empty(len(mesh.positions), dtype=np.int32)
+    index[np.argsort(morton(mesh.positions), kind="stable")] = arrays["clusters/index"]
+    if index.max() >= len(caps):
+        raise ValueError("index of a cluster")
+    return Clusters(index, caps, arrays.get("clusters/kinds", np.zeros(0)).astype(np.int32))
 
 
-def _rounded(
-    problem: Problem, clusters: Clusters, bases: tuple[LinearBasis, ...], step: float
-) -> tuple[tuple[LinearBasis, ...], tuple[NDArray, ...]]:
-    """Coefficients as multiples of the step, without those last functions of each cap that round to zero everywhere."""
-    kept, values = [], []
-    channels = problem.vectors.shape[1]
-    for basis, members in zip(bases, clusters.members, strict=True):
-        quantised = codec.quantise(basis.project(problem.of(members)), step)
-        used = np.flatnonzero(quantised.any(axis=0))
-        count = int(used[-1]) // channels + 1 if used.size else min(1, basis.count)
-        kept.append(basis.first(count))
-        values.append(np.ascontiguousarray(quantised[:, : count * channels]))
-    return tuple(kept), tuple(values)
+def _bases(
+    arrays: dict[str, NDArray], clusters: Clusters, terms: NDArray, bandlimit: int, channels: int, coded: bool
+) -> tuple[LinearBasis, ...]:
+    size = num_coefficients(bandlimit)
+    starts = np.cumsum(terms)[:-1]
+    unknown: list[Any] = [None] * len(terms)
+    orders, radial = unpack_radial(arrays, terms, bandlimit) if "radial/order" in arrays else (unknown, unknown)
+    dense = np.split(arrays["basis/dense"].reshape(-1, size), starts) if "basis/dense" in arrays else unknown
+    mean = list(arrays["basis/mean"].reshape(-1, channels, size)) if "basis/mean" in arrays else unknown
+    weights = arrays.get("basis/weights")
+    frames = frames_of(clusters) if coded else np.array([cap.center for cap in clusters.caps])
+    return tuple(
+        LinearBasis(frame, bandlimit, int(k), m, r, d, t, weights)
+        for frame, k, m, r, d, t in zip(frames, terms, orders, radial, dense, mean, strict=True)
+    )
 
 
-def check_options(
-    basis: str,
-    tolerance: float | None,
-    terms: int | None,
-    truncate: str | None,
-    epsilon: float,
-    clusters: int,
-    coding: str,
-    bandlimit: int,
-) -> None:
-    """Raise UserError, before any work, if `compress` would refuse these."""
-    check_bandlimit(bandlimit, largest=LARGEST_BANDLIMIT)
-    rules = {"tolerance": tolerance, "terms": terms, "truncate": truncate}
-    given = [name for name, value in rules.items() if value is not None]
-    if len(given) > 1:
-        raise UserError(f"only one of tolerance, terms and truncate may be given, not {' and '.join(given)}")
-    if basis not in (*BASES, "none"):
-        raise UserError(f"basis must be one of {', '.join((*BASES, 'none'))}, not {basis!r}")
-    if basis == "none" and given:
-        raise UserError(f"basis none keeps all functions; leave out {given[0]}, or choose another basis")
-    if terms is not None:
-        check_terms(terms, num_coefficients(bandlimit))
-    if truncate is not None and truncate not in truncation.TRUNCATIONS:
-        raise UserError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {truncate!r}")
-    if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
-        raise UserError(f"tolerance must be a positive number, not {tolerance!r}")
-    check_epsilon(epsilon)
-    if not isinstance(clusters, int | np.integer) or not 1 <= clusters <= LARGEST_CLUSTERS:
-        raise UserError(f"clusters must be an integer in [1, {LARGEST_CLUSTERS}], not {clusters!r}")
-    if coding not in CODINGS:
-        raise UserError(f"coding must be one of {', '.join(CODINGS)}, not {coding!r}")
+def frames_of(clusters: Clusters) -> NDArray[np.float64]:
+    """(n, 3) axes of the frames that coded bases stand in: the sites, which files hold, or else the caps' centres."""
+    if clusters.sites is None:
+        return np.array([cap.center for cap in clusters.caps])
+    sites = clusters.sites.astype(np.float64)
+    return np.asarray(sites / np.linalg.norm(sites, axis=1, keepdims=True))
 
 
-def _terms(
-    found: list[Candidate],
-    clusters: Clusters,
-    bandlimit: int,
-    sizes: NDArray,
-    tolerance: float | None,
-    terms: int | None,
-    truncate: str | None,
-    epsilon: float,
-) -> NDArray[np.int64]:
-    if terms is not None:
-        return truncation.by_terms(found, terms)
-    if truncate is not None:
-        return truncation.by_shannon(found, clusters.caps, bandlimit, truncate, epsilon)
-    return truncation.by_tolerance(found, sizes, DEFAULT_TOLERANCE if tolerance is None else tolerance)
+def _coded(arrays: dict[str, NDArray], step: float, caps: int) -> Coded:
+    lengths = arrays["coded/caps"][:, 0].astype(np.int64)
+    words = np.split(arrays["coded/words"], np.cumsum(lengths)[:-1])
+    if lengths.sum() != arrays["coded/words"].size or len(words) != caps:
+        raise ValueError("number of words")
+    for part, checksum in zip(words, arrays["coded/caps"][:, 1].tolist(), strict=True):
+        if zlib.crc32(part.astype("<u4").tobytes()) != checksum:
+            raise ValueError("checksum of a cap")
+    models = arrays["coded/models"]
+    if models.shape != (codec.CONTEXTS,) or models.max() >= codec.MODELS:
+        raise ValueError("entropy models")
+    return Coded(codec.Tuning(step, arrays["coded/shrink"], models), tuple(words))

@@ -6,19 +6,20 @@ import importlib.metadata
 import math
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 import slepian_prt
-from slepian_prt.compression.clusters import Clusters, cluster_normals
-from slepian_prt.compression.compressed import CompressedTransfer, compress
+from slepian_prt.compression.grouping import grouped
+from slepian_prt.compression.settings import Settings
 from slepian_prt.errors import UserError, check_terms
-from slepian_prt.evaluation.errors import relative_rms
+from slepian_prt.evaluation.errors import relative_rms, seam
+from slepian_prt.evaluation.methods import DEFAULT_METHODS, Entry, check_methods, entries
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
 from slepian_prt.relighting.picture import Camera, Picture, trace_camera
 from slepian_prt.relighting.relight import negative_part, relight
@@ -27,30 +28,31 @@ from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scenes import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Transfer, precompute
+from slepian_prt.transport.transfer import Job, Transfer
 
-DEFAULT_BASES = ("adapted", "transport", "slepian", "incident", "sh", "cpca")
 DEFAULT_TERMS = (4, 9, 16, 25, 36)
-
-# Bases that are also shown coded, at these tolerances.
-_CODED_BASES = ("adapted", "cpca")
-_CODED_TOLERANCES = (0.2, 0.1, 0.05, 0.02)
 
 Status = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Method:
-    """One basis with one number of terms; the fields of ``methods`` in results.json."""
+    """One basis with one number of terms; the fields of ``methods`` in results.json.
+
+    The two seams are those of `errors.seam`, over all environments.
+    """
 
     basis: str
     coding: str
     terms: float
     bytes_per_vertex: float
     transfer_error: float
-    predicted_error: float
+    predicted_error: float | None
     relit_error: dict[str, float]
+    predicted_relit_error: dict[str, float]
     image_error: dict[str, float]
+    seam_across: float | None
+    seam_within: float | None
     compress_seconds: float
     relight_seconds: float
 
@@ -84,6 +86,7 @@ class Comparison:
     """Everything that the report shows."""
 
     transfer: Transfer
+    grouping: Settings
     clusters: int
     half_angles: tuple[float, float]
     methods: tuple[Method, ...]
@@ -102,6 +105,8 @@ class Comparison:
             "samples": self.transfer.samples,
             "seed": self.transfer.seed,
             "clusters": self.clusters,
+            "group_by": self.grouping.group_by,
+            "occlusion_classes": self.grouping.occlusion_classes,
             "environments": [view.environment.name for view in self.views],
             "methods": [asdict(method) for method in self.methods],
             "ladder": [asdict(rung) for rung in self.ladder],
@@ -136,16 +141,10 @@ def compare(
     scene: str | Path,
     environments: Sequence[Environment],
     *,
-    bandlimit: int = 10,
-    samples: int = 1024,
-    clusters: int = 96,
-    bases: Sequence[str] = DEFAULT_BASES,
+    job: Job | None = None,
+    grouping: Settings | None = None,
+    methods: Sequence[str] = DEFAULT_METHODS,
     terms: Sequence[int] = DEFAULT_TERMS,
-    effects: str = "auto",
-    bounces: int | None = None,
-    albedo: ArrayLike | None = None,
-    view: str | int | None = None,
-    seed: int = 0,
     width: int | None = None,
     noise: float = 0.01,
     status: Status = lambda _: None,
@@ -158,8 +157,10 @@ def compare(
     ----------
     scene : path
     environments : maps; without any, the light of a Mitsuba scene itself
-    bandlimit, samples, clusters, effects, bounces, albedo, view, seed, on_plan : as `precompute` and `compress`
-    bases, terms : every basis is tried with every number of terms that the bandlimit allows
+    job : what is asked of transport
+    grouping : what is grouped into caps; the rest of it does not count
+    methods, terms : every method is tried with every number of terms that the bandlimit allows
+    on_plan : as of `precompute`
     width : of the pictures
     noise : wanted relative RMS noise of the path-traced references
     status : told what begins
@@ -173,32 +174,25 @@ def compare(
         raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
+    job, grouping = job or Job(), grouping or Settings()
+    check_methods(methods)
+    bandlimit = int(job.bandlimit)
     size = num_coefficients(bandlimit)
     for k in terms:
         check_terms(k, 1 << 20)
     wanted = sorted({k for k in terms if k <= size}) or [size]
     started = time.perf_counter()
     status("transport")
-    transfer = precompute(
-        scene,
-        bandlimit,
-        samples,
-        effects=effects,
-        bounces=bounces,
-        albedo=albedo,
-        view=view,
-        seed=seed,
-        on_plan=on_plan,
-        advance=advance,
-    )
+    with job.opened(scene, on_plan) as ready:
+        transfer = ready.transfer(advance)
     if not environments:
         if transfer.environment is None:
             raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
         environments = [transfer.environment]
-    grouped = cluster_normals(transfer.axes, clusters)
+    clusters = grouped(grouping, transfer)
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]
-    with open_scene(scene, albedo=albedo, view=view) as (mi, opened):
+    with open_scene(scene, albedo=job.albedo, view=job.view) as (mi, opened):
         status("camera")
         camera = trace_camera(mi, opened, width)
         views = [
@@ -206,19 +200,20 @@ def compare(
             for environment, radiance in zip(environments, full, strict=True)
         ]
     shown = min(wanted, key=lambda k: abs(k - 16))
-    methods = []
-    for asked, packed in _compressed(transfer, grouped, bases, wanted, status):
-        methods.append(_measure(packed, transfer, lighting, full, views, camera))
-        if asked == shown:
+    measured = []
+    for entry in entries(transfer, clusters, methods, wanted, lighting, status):
+        measured.append(_measure(entry, transfer, lighting, full, views, camera))
+        if entry.asked == shown:
             for seen, light in zip(views, lighting, strict=True):
-                seen.compressed[packed.basis] = camera.picture(relight(packed, light))
-    angles = [cap.half_angle for cap in grouped.caps]
+                seen.compressed[entry.method] = camera.picture(entry.made.radiance(light))
+    angles = [cap.half_angle for cap in clusters.caps]
     return Comparison(
         transfer,
-        len(grouped.caps),
+        grouping,
+        len(clusters.caps),
         (min(angles), max(angles)),
-        tuple(methods),
-        tuple(_ladder(transfer, views, full, methods, shown)),
+        tuple(measured),
+        tuple(_ladder(transfer, views, full, measured, shown)),
         tuple(views),
         shown,
         {e.name: negative_part(radiance) for e, radiance in zip(environments, full, strict=True)},
@@ -247,49 +242,40 @@ def _view(
     return View(environment, reference, vertices, camera.picture(vertices.radiance), camera.picture(full))
 
 
-def _compressed(
-    transfer: Transfer, grouped: Clusters, bases: Sequence[str], terms: Sequence[int], status: Status
-) -> Iterator[tuple[int | None, CompressedTransfer]]:
-    """Every basis with every number of terms, which is given too, some coded to every tolerance, and full SH last."""
-    for basis in bases:
-        for k in terms:
-            status(f"{basis}, {k} terms")
-            yield k, compress(transfer, basis, terms=k, clusters=grouped, coding="float16")
-        for tolerance in _CODED_TOLERANCES if basis in _CODED_BASES else ():
-            status(f"{basis}, coded to {tolerance:g}")
-            yield None, compress(transfer, basis, tolerance=tolerance, clusters=grouped)
-    status("full SH")
-    yield None, compress(transfer, "none", coding="float16")
-
-
 def _measure(
-    packed: CompressedTransfer,
+    entry: Entry,
     transfer: Transfer,
     lighting: list[NDArray],
     full: list[NDArray],
     views: list[View],
     camera: Camera,
 ) -> Method:
-    relit_error, image_error, times = {}, {}, []
+    relit_error, image_error, predicted, times, seams = {}, {}, {}, [], []
     for light, reference, view in zip(lighting, full, views, strict=True):
-        radiance = relight(packed, light)  # the first call prepares the functions
+        radiance = entry.made.radiance(light)  # the first call prepares the functions
         for _ in range(3):
             begin = time.perf_counter()
-            radiance = relight(packed, light)
+            radiance = entry.made.radiance(light)
             times.append(time.perf_counter() - begin)
         name = view.environment.name
         relit_error[name] = relative_rms(radiance, reference)
         image_error[name] = relative_rms(camera.picture(radiance).radiance, view.reference.picture.radiance)
+        if entry.packed is not None:
+            predicted[name] = entry.packed.predicted_relit_error(light)
+            seams.append(seam(radiance, reference, transfer.mesh.faces, entry.packed.clusters.index))
     return Method(
-        packed.basis,
-        packed.coding,
-        packed.terms,
-        packed.bytes_per_vertex,
-        relative_rms(packed.reconstruct().ravel(), transfer.vectors.ravel()),
-        packed.predicted_error,
+        entry.method,
+        entry.coding,
+        entry.terms,
+        entry.made.bytes_per_vertex,
+        relative_rms(entry.made.reconstruct().ravel(), transfer.vectors.ravel()),
+        None if entry.packed is None else entry.packed.predicted_error,
         relit_error,
+        predicted,
         image_error,
-        packed.seconds["compress"],
+        float(np.mean([across for across, _ in seams])) if seams else None,
+        float(np.mean([within for _, within in seams])) if seams else None,
+        entry.seconds,
         float(np.median(times)),
     )
 

@@ -25,3 +25,26 @@ def error_map(picture: Picture, reference: Picture) -> NDArray[np.float64]:
     scale = float((reference.radiance[covered] @ _LUMINANCE).mean()) if covered.any() else 1.0
     difference = np.abs((picture.radiance - reference.radiance) @ _LUMINANCE) / max(scale, 1e-30)
     return np.where(covered, difference, np.nan)
+
+
+def seam(radiance: NDArray, reference: NDArray, faces: NDArray, index: NDArray) -> tuple[float, float]:
+    """How much the error jumps along edges between clusters, and along edges within them.
+
+    Root mean square over the edges of the difference of the error between the two ends, relative to that of the
+    reference over all vertices; zero where there is no such edge. Without visible seams the two are alike.
+
+    Parameters
+    ----------
+    radiance, reference : (V, 3)
+    faces : (F, 3)
+    index : (V,)
+        Cluster of each vertex.
+    """
+    error = radiance.astype(np.float64) - reference.astype(np.float64)
+    a, b = (np.concatenate([faces[:, i] for i in order]) for order in ((0, 1, 2), (1, 2, 0)))
+    jumps = np.sum((error[a] - error[b]) ** 2, axis=1)
+    scale = float(np.mean(np.sum(reference.astype(np.float64) ** 2, axis=1)))
+    across = index[a] != index[b]
+    found = [float(jumps[chosen].mean()) if chosen.any() else 0.0 for chosen in (across, ~across)]
+    across_rms, within_rms = (float(np.sqrt(mean / scale)) if scale > 0.0 else 0.0 for mean in found)
+    return across_rms, within_rms

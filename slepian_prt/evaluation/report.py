@@ -27,11 +27,16 @@ from slepian_prt.relighting.picture import Picture, exposure, to_srgb
 # Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
 STYLES: dict[str, tuple[str, str, str]] = {
     "adapted": ("#D55E00", "o", "-"),
+    "adapted+light": ("#D55E00", "*", "--"),
+    "adapted+pca": ("#D55E00", "s", "-."),
     "transport": ("#E69F00", "s", "-"),
     "slepian": ("#0072B2", "D", "--"),
     "incident": ("#56B4E9", "^", "--"),
     "sh": ("#222222", "x", ":"),
     "cpca": ("#009E73", "v", "-."),
+    "pca": ("#009E73", "^", ":"),
+    "haar": ("#7F7F7F", "p", "--"),
+    "d3dx": ("#000000", "h", ""),
     "direct": ("#CC79A7", "P", ":"),
 }
 
@@ -41,9 +46,21 @@ DESCRIPTIONS = {
     "slepian": "the paper's Slepian functions of the cap of normals, for exit radiance",
     "incident": "Slepian functions of the cap that holds all incident light (the cap of normals widened by 90°)",
     "sh": "spherical harmonics cut at a lower degree",
-    "cpca": "principal components of each cluster (Sloan 2003); has to see all vectors and to store its bases",
+    "adapted+light": "the same, made for the mean spectrum of the maps compared here: the relit error counts",
+    "adapted+pca": "principal axes inside nearly complete adapted coefficients of each cap, which are stored",
+    "pca": "mean and principal components of each cap; has to see all vectors and to store its bases",
+    "cpca": "the same with clusters iterated by reconstruction error (Sloan 2003)",
+    "haar": "the largest Haar wavelets of each vertex on a cube (Ng 2003), 8 bits each and their places",
+    "d3dx": "what Direct3D's library recommends: degrees up to 5, cpca with 24 terms",
     "direct": "transfer projected on the Slepian functions of the cap of normals itself: what not to do",
     "none": "all spherical harmonics, nothing compressed",
+}
+
+_GROUPED_BY = {
+    "normal": "their normals",
+    "bent": "the mean direction of the light that reaches them",
+    "surface": "neighbourhoods on the surface",
+    "view": "their reflection directions",
 }
 
 _ERROR_SCALE = 0.25  # the end of the colour scale of error maps, relative to the mean luminance
@@ -316,6 +333,7 @@ def _render(comparison: Comparison, figures: dict[str, bytes], pictures: list[di
         findings=_findings(comparison),
         half_angles=[math.degrees(a) for a in comparison.half_angles],
         shown=comparison.shown_terms,
+        grouped_by=_GROUPED_BY["view" if results["toward_camera"] else results["group_by"]],
         figures=figures,
         pictures=pictures,
         descriptions=DESCRIPTIONS,
@@ -326,7 +344,9 @@ def _render(comparison: Comparison, figures: dict[str, bytes], pictures: list[di
     )
 
 
-def _percent(value: float) -> str:
+def _percent(value: float | None) -> str:
+    if value is None:
+        return "–"
     if value == 0.0:
         return "0 %"
     return f"{100 * value:.2g} %" if value < 0.1 else f"{100 * value:.0f} %"

@@ -138,15 +138,28 @@ def cap_basis(
         terms = check_terms(terms, bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit))
     if kernel is None:
         blocks, values, leakages = _plain_blocks(bandlimit, half_angle, last_order, threshold)
-    else:
-        factors = cap_moment_factors(bandlimit, half_angle, kernel, last_order)
-        blocks, values = [], []
-        for m, factor in enumerate(factors):
-            vectors, eigenvalues = _right_singular(factor, _incident_factor(bandlimit, half_angle, m))
-            blocks.append(vectors)
-            values.append(eigenvalues)
-        leakages = None
-    return _merge(bandlimit, half_angle, axis, blocks, values, leakages, terms, threshold)
+        return _merge(bandlimit, half_angle, axis, blocks, values, leakages, terms, threshold)
+    factors = cap_moment_factors(bandlimit, half_angle, kernel, last_order)
+    return moment_basis(bandlimit, half_angle, factors, axis, terms=terms, threshold=threshold)
+
+
+def moment_basis(
+    bandlimit: int,
+    half_angle: float,
+    factors: list[NDArray[np.float64]],
+    center: NDArray | None = None,
+    *,
+    terms: int | None = None,
+    threshold: float | None = None,
+) -> CapBasis:
+    """Eigenvectors of a second moment over a cap that is known by its factors, see `cap_moment_factors`."""
+    blocks, values = [], []
+    for m, factor in enumerate(factors):
+        vectors, eigenvalues = _right_singular(factor, _incident_factor(bandlimit, half_angle, m))
+        blocks.append(vectors)
+        values.append(eigenvalues)
+    axis = np.array([0.0, 0.0, 1.0]) if center is None else center
+    return _merge(bandlimit, half_angle, axis, blocks, values, None, terms, threshold)
 
 
 # --- The plain problem -----------------------------------------------------------------------------------------------

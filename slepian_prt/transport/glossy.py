@@ -92,10 +92,11 @@ def view_transfer(
     block = max(1, _RAYS_PER_BLOCK // tracer.half)
     facing = facing[np.argsort(morton(scene.traced_positions[facing]), kind="stable")]
 
-    def project(chosen: NDArray, seen: tuple[NDArray, NDArray]) -> None:
+    def project(_: int, chosen: NDArray, seen: tuple[NDArray, NDArray]) -> None:
         vectors[chosen] = tracer.project(chosen, *seen)
 
-    in_blocks(facing, block, tracer.weights, project, advance)
+    blocks = [facing[begin : begin + block] for begin in range(0, facing.size, block)]
+    in_blocks(blocks, tracer.weights, project, advance)
     gray = np.abs(vectors - vectors[:, :1]).max(initial=0.0) <= 1e-6 * np.abs(vectors).max(initial=0.0)
     return ViewTransfer(vectors[:, :1].copy() if gray else vectors, axes, tracer.rays)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from slepian_prt.transport.buried import borrow
 from slepian_prt.transport.effects import SIMULATED, Effect, Plan, check_effects, plan_effects
 from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interreflection import GATHER_SHARE, bounced, count_bounces, gather_operator
-from slepian_prt.transport.visibility import shadowed_transfer
+from slepian_prt.transport.visibility import DirectTransfer, shadowed_transfer
 
 log = logging.getLogger(__name__)
 
@@ -140,85 +141,152 @@ def precompute(
     ValueError
         Bandlimit, samples, bounces or effects out of range.
     """
-    bandlimit = check_bandlimit(bandlimit, largest=LARGEST_BANDLIMIT)
-    _check_count(samples, "samples", 1, LARGEST_SAMPLES)
-    _check_count(seed, "seed", 0, None)
-    if bounces is not None:
-        _check_count(bounces, "bounces", 0, LARGEST_BOUNCES)
-    check_effects(effects)
-    clock = _Clock()
-    with open_scene(scene, albedo=albedo, view=view) as (mi, opened):
-        if not opened.mesh.receivers.any():
-            raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
-        clock.stop("load")
-        toward = opened.view if view is not None else None
-        plan = plan_effects(mi, opened, bandlimit, int(samples), effects, seed, toward)
-        on_plan(plan.effects)
-        _remark_on_closed(opened.path, plan.effects)
-        clock.stop("plan")
-        mesh, axes, taken = opened.mesh, opened.mesh.normals, 0
-        if toward is None:
-            vectors, taken, rays = _diffuse(mi, opened, plan, bandlimit, int(samples), bounces, seed, clock, advance)
+    job = Job(bandlimit, samples, effects, bounces, albedo, view, seed)
+    with job.opened(scene, on_plan) as ready:
+        return ready.transfer(advance)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is asked of transport; see `precompute`.
+
+    Raises
+    ------
+    UserError
+        A number out of range, or an unknown effect.
+    """
+
+    bandlimit: int = 10
+    samples: int = 1024
+    effects: str = "auto"
+    bounces: int | None = None
+    albedo: ArrayLike | None = None
+    view: str | int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_bandlimit(self.bandlimit, largest=LARGEST_BANDLIMIT)
+        _check_count(self.samples, "samples", 1, LARGEST_SAMPLES)
+        _check_count(self.seed, "seed", 0, None)
+        if self.bounces is not None:
+            _check_count(self.bounces, "bounces", 0, LARGEST_BOUNCES)
+        check_effects(self.effects)
+
+    @contextmanager
+    def opened(
+        self, scene: str | Path | Mesh, on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None
+    ) -> Iterator[Ready]:
+        """The scene loaded and planned, with Mitsuba."""
+        clock = Clock()
+        with open_scene(scene, albedo=self.albedo, view=self.view) as (mi, opened):
+            if not opened.mesh.receivers.any():
+                raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
+            clock.stop("load")
+            toward = opened.view if self.view is not None else None
+            plan = plan_effects(mi, opened, self.bandlimit, int(self.samples), self.effects, self.seed, toward)
+            on_plan(plan.effects)
+            _remark_on_closed(opened.path, plan.effects)
+            clock.stop("plan")
+            yield Ready(mi, opened, self, plan, toward, clock)
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """A scene that is loaded and planned.
+
+    Attributes
+    ----------
+    mi : Mitsuba
+    scene : Scene
+    job : Job
+    plan : Plan
+    toward : View or None
+        The camera toward which all materials are simulated.
+    clock : Clock
+    """
+
+    mi: Any
+    scene: Scene
+    job: Job
+    plan: Plan
+    toward: View | None
+    clock: Clock
+
+    @property
+    def by_blocks(self) -> bool:
+        """Whether vertices do not depend on each other, so that transfer need not be held all at once."""
+        return self.toward is None and not self.plan.interreflection
+
+    def direct(self) -> DirectTransfer:
+        """The source of direct transfer."""
+        return DirectTransfer(
+            self.mi, self.scene, int(self.job.bandlimit), self.plan.nodes, self.plan.shadowed, self.job.seed
+        )
+
+    def transfer(self, advance: Callable[[int, int], None] = lambda _done, _total: None) -> Transfer:
+        """All vectors, in memory."""
+        job, mesh, count = self.job, self.scene.mesh, len(self.scene.mesh.positions)
+        axes, taken = mesh.normals, 0
+        if self.toward is None:
+            vectors, taken, rays = self._diffuse(advance)
         else:
-            count = len(mesh.positions)
-            shadows = plan.effects[0].verdict == SIMULATED
             vectors, axes, rays = view_transfer(
-                mi, opened, toward, bandlimit, int(samples), seed, shadows=shadows, advance=lambda n: advance(n, count)
+                self.mi,
+                self.scene,
+                self.toward,
+                job.bandlimit,
+                int(job.samples),
+                job.seed,
+                shadows=self.plan.effects[0].verdict == SIMULATED,
+                advance=lambda n: advance(n, count),
             )
-            clock.stop("transport")
+            self.clock.stop("transport")
             mesh = replace(mesh, albedo=np.ones_like(mesh.albedo))  # the reflectance is in the vectors
         return Transfer(
             vectors=vectors,
             mesh=mesh,
-            parts=opened.parts,
-            bandlimit=bandlimit,
-            samples=int(samples),
-            seed=seed,
-            effects=plan.effects,
+            parts=self.scene.parts,
+            bandlimit=int(job.bandlimit),
+            samples=int(job.samples),
+            seed=job.seed,
+            effects=self.plan.effects,
             bounces=taken,
             rays_traced=rays,
-            seconds=clock.seconds,
-            source=opened.path,
-            environment=opened.environment,
-            view=opened.view,
-            toward_view=toward is not None,
+            seconds=self.clock.seconds,
+            source=self.scene.path,
+            environment=self.scene.environment,
+            view=self.scene.view,
+            toward_view=self.toward is not None,
             axes=axes,
         )
 
+    def _diffuse(self, advance: Callable[[int, int], None]) -> tuple[NDArray[np.float32], int, int]:
+        """Transfer vectors (V, channels, (L+1)²) of diffuse surfaces as planned, the bounces taken, and rays traced."""
+        mi, scene, plan, job = self.mi, self.scene, self.plan, self.job
+        mesh = scene.mesh
+        total = len(mesh.positions) + (plan.shadowed.size if plan.interreflection else 0)
 
-def _diffuse(
-    mi: Any,
-    scene: Scene,
-    plan: Plan,
-    bandlimit: int,
-    samples: int,
-    bounces: int | None,
-    seed: int,
-    clock: _Clock,
-    advance: Callable[[int, int], None],
-) -> tuple[NDArray[np.float32], int, int]:
-    """Transfer vectors (V, channels, (L+1)²) of diffuse surfaces as planned, the bounces taken, and rays traced."""
-    mesh = scene.mesh
-    total = len(mesh.positions) + (plan.shadowed.size if plan.interreflection else 0)
+        def tell(done: int) -> None:
+            advance(done, total)
 
-    def tell(done: int) -> None:
-        advance(done, total)
-
-    direct, blocked, rays = shadowed_transfer(mi, scene, bandlimit, plan.nodes, plan.shadowed, seed, tell)
-    borrowed = borrow(mi, scene, np.flatnonzero((blocked >= 1.0) & mesh.receivers))
-    borrowed.fill(direct)
-    borrowed.fill(blocked)
-    clock.stop("transport")
-    if not plan.interreflection:
-        return direct[:, None, :], 0, rays
-    nodes = max(1, round(GATHER_SHARE * samples))
-    gather = gather_operator(mi, scene, nodes, plan.shadowed, blocked, seed + 1, tell)
-    if bounces is None:
-        bounces, _ = count_bounces(gather, mesh.albedo, np.where(mesh.receivers, 1.0 - blocked, 0.0))
-    vectors = bounced(gather, mesh.albedo, direct, plan.channels, int(bounces))
-    borrowed.fill(vectors)
-    clock.stop("interreflection")
-    return vectors, int(bounces), rays + gather.rays
+        direct, blocked, rays = shadowed_transfer(
+            mi, scene, int(job.bandlimit), plan.nodes, plan.shadowed, job.seed, tell
+        )
+        borrowed = borrow(mi, scene, np.flatnonzero((blocked >= 1.0) & mesh.receivers))
+        borrowed.fill(direct)
+        borrowed.fill(blocked)
+        self.clock.stop("transport")
+        if not plan.interreflection:
+            return direct[:, None, :], 0, rays
+        nodes = max(1, round(GATHER_SHARE * job.samples))
+        gather = gather_operator(mi, scene, nodes, plan.shadowed, blocked, job.seed + 1, tell)
+        bounces = job.bounces
+        if bounces is None:
+            bounces, _ = count_bounces(gather, mesh.albedo, np.where(mesh.receivers, 1.0 - blocked, 0.0))
+        vectors = bounced(gather, mesh.albedo, direct, plan.channels, int(bounces))
+        borrowed.fill(vectors)
+        self.clock.stop("interreflection")
+        return vectors, int(bounces), rays + gather.rays
 
 
 def _check_count(value: object, name: str, smallest: int, largest: int | None) -> None:
@@ -239,7 +307,7 @@ def _remark_on_closed(path: str, effects: tuple[Effect, ...]) -> None:
         )
 
 
-class _Clock:
+class Clock:
     """Seconds between calls."""
 
     def __init__(self) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar
 
@@ -32,6 +32,9 @@ from slepian_prt.transport.directions import QUARTERS, SMALLEST_NET, Net, direct
 # Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
 _RAYS_PER_BLOCK = 1 << 21
 
+# Vertices without shadows in a block.
+_UNOCCLUDED_PER_BLOCK = 8192
+
 # Open directions of a vertex that are few enough to be leaks, and how far beside them to look again, in radians.
 _LEAKS = 3
 _BESIDE = 1e-3
@@ -43,6 +46,7 @@ _MEAN = np.float32(math.sqrt(4.0 * math.pi))
 _BLOCKS_WAITING = 3
 
 Progress = Callable[[int], None]
+Deliver = Callable[[int, NDArray, NDArray, NDArray], None]
 Found = TypeVar("Found")
 
 
@@ -88,6 +92,87 @@ def _hull_corners(scene: Scene) -> NDArray[np.float64]:
         return points  # flat or smaller: every point may count
 
 
+class DirectTransfer:
+    """Direct, shadowed, diffuse transfer of unit albedo, block by block.
+
+    Parameters
+    ----------
+    mi : Mitsuba, as yielded by `open_scene`
+    scene : Scene
+    bandlimit : int
+    nodes : int
+        Directions that every traced vertex looks in; see `nodes_for`.
+    shadowed : indices of the vertices to trace; the others are taken to see all of their hemisphere
+    seed : int
+        Of the turns about the normals. The same seed gives the same bits.
+    """
+
+    def __init__(self, mi: Any, scene: Scene, bandlimit: int, nodes: int, shadowed: NDArray, seed: int) -> None:
+        self.bandlimit = bandlimit
+        self._scene = scene
+        self._traced = np.zeros(len(scene.mesh.positions), dtype=bool)
+        self._traced[shadowed] = True
+        self._block = max(1, _RAYS_PER_BLOCK // nodes)
+        self._tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(nodes), seed) if shadowed.size else None
+
+    @property
+    def rays(self) -> int:
+        """Number traced so far."""
+        return 0 if self._tracer is None else self._tracer.rays
+
+    @property
+    def blocks(self) -> list[NDArray[np.int64]]:
+        """All vertices, in pieces of about as many rays; neighbours in space share the tracer's caches."""
+        order = np.argsort(morton(self._scene.traced_positions), kind="stable")
+        work = np.cumsum(np.where(self._traced[order], 1.0 / self._block, 1.0 / _UNOCCLUDED_PER_BLOCK))
+        cuts = np.searchsorted(work, np.arange(1, int(work[-1]) + 1), side="right")
+        return [block for block in np.split(order, cuts) if block.size]
+
+    def of(self, vertices: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Transfer vectors (n, (L+1)²) and blocked parts (n,) of any vertices."""
+        vectors = np.empty((vertices.size, num_coefficients(self.bandlimit)), dtype=np.float32)
+        blocked = np.empty(vertices.size, dtype=np.float32)
+        starts = range(0, vertices.size, self._block)
+        places = {begin: slice(begin, begin + self._block) for begin in starts}
+
+        def deliver(number: int, _: NDArray, found: NDArray, parts: NDArray) -> None:
+            place = places[number * self._block]
+            vectors[place], blocked[place] = found, parts
+
+        self.run([vertices[place] for place in places.values()], deliver)
+        return vectors, blocked
+
+    def run(self, blocks: Sequence[NDArray], deliver: Deliver, advance: Progress = lambda _: None) -> None:
+        """Compute block after block.
+
+        Parameters
+        ----------
+        blocks : sequence of vertex indices
+        deliver : callable
+            Given (number of the block, its vertices, their transfer vectors, the blocked part of each hemisphere), in
+            order, in another thread.
+        advance : callable
+            Told the number of vertices finished since its last call.
+        """
+
+        def look(vertices: NDArray) -> Seen | None:
+            traced = vertices[self._traced[vertices]]
+            return self._tracer.look(traced) if self._tracer is not None and traced.size else None
+
+        def project(number: int, vertices: NDArray, seen: Seen | None) -> None:
+            vectors = unoccluded_transfer(self.bandlimit, self._scene.mesh.normals[vertices])
+            blocked = np.zeros(vertices.size, dtype=np.float32)
+            if self._tracer is not None and seen is not None:
+                traced = np.flatnonzero(self._traced[vertices])
+                lost, closed = self._tracer.blocked(seen)
+                vectors[traced] -= lost
+                vectors[traced[closed]] = 0.0  # exactly, where nothing is seen but surfaces
+                blocked[traced] = np.where(closed, 1.0, lost[:, 0] * _MEAN)
+            deliver(number, vertices, vectors, blocked)
+
+        in_blocks(blocks, look, project, advance)
+
+
 def shadowed_transfer(
     mi: Any,
     scene: Scene,
@@ -97,63 +182,39 @@ def shadowed_transfer(
     seed: int,
     advance: Progress = lambda _: None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], int]:
-    """Transfer vectors of all vertices for direct, shadowed, diffuse light of unit albedo.
-
-    Parameters
-    ----------
-    mi : Mitsuba, as yielded by `open_scene`
-    scene : Scene
-    bandlimit : int
-    nodes : int
-        Directions that every traced vertex looks in; see `nodes_for`.
-    vertices : indices of the vertices to trace; the others are taken to see all of their hemisphere
-    seed : int
-        Of the turns about the normals. The same seed gives the same bits.
-    advance : callable
-        Told the number of vertices finished since its last call.
+    """Direct transfer of all vertices at once; parameters as of `DirectTransfer`.
 
     Returns
     -------
     (V, (L+1)²) float32 transfer vectors, (V,) float32 cosine-weighted blocked part of each hemisphere, and the
     number of rays traced.
     """
-    vectors = unoccluded_transfer(bandlimit, scene.mesh.normals)
-    blocked = np.zeros(len(vectors), dtype=np.float32)
-    advance(len(vectors) - vertices.size)
-    if vertices.size == 0:
-        return vectors, blocked, 0
-    tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(nodes), seed)
-    block = max(1, _RAYS_PER_BLOCK // nodes)
-    # Neighbours in space share the tracer's caches.
-    vertices = vertices[np.argsort(morton(scene.traced_positions[vertices]), kind="stable")]
+    source = DirectTransfer(mi, scene, bandlimit, nodes, vertices, seed)
+    vectors = np.empty((len(scene.mesh.positions), num_coefficients(bandlimit)), dtype=np.float32)
+    blocked = np.empty(len(vectors), dtype=np.float32)
 
-    def project(chosen: NDArray, seen: Seen) -> None:
-        lost, closed = tracer.blocked(seen)
-        vectors[chosen] -= lost
-        vectors[chosen[closed]] = 0.0  # exactly, where nothing is seen but surfaces
-        blocked[chosen] = np.where(closed, 1.0, lost[:, 0] * _MEAN)
+    def deliver(_: int, chosen: NDArray, found: NDArray, parts: NDArray) -> None:
+        vectors[chosen], blocked[chosen] = found, parts
 
-    in_blocks(vertices, block, tracer.look, project, advance)
-    return vectors, blocked, tracer.rays
+    source.run(source.blocks, deliver, advance)
+    return vectors, blocked, source.rays
 
 
 def in_blocks(
-    vertices: NDArray,
-    size: int,
+    blocks: Sequence[NDArray],
     trace: Callable[[NDArray], Found],
-    project: Callable[[NDArray, Found], None],
+    project: Callable[[int, NDArray, Found], None],
     advance: Progress,
 ) -> None:
-    """Trace block after block of ``vertices`` and project what was found, each block while the next is traced.
+    """Trace block after block of vertices and project what was found, each block while the next is traced.
 
     BLAS gets one thread meanwhile, because those that it keeps spinning after a product would take the cores from the
     tracer: that alone cost a quarter of the time.
     """
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(1) as worker:
         pending: deque[Future[None]] = deque()
-        for begin in range(0, vertices.size, size):
-            chosen = vertices[begin : begin + size]
-            pending.append(worker.submit(project, chosen, trace(chosen)))
+        for number, chosen in enumerate(blocks):
+            pending.append(worker.submit(project, number, chosen, trace(chosen)))
             if len(pending) > _BLOCKS_WAITING:
                 pending.popleft().result()
             advance(chosen.size)

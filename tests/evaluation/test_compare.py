@@ -4,12 +4,15 @@ import re
 import numpy as np
 import pytest
 
+from slepian_prt.compression.settings import Settings
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.errors import error_map, relative_rms
+from slepian_prt.evaluation.methods import METHODS
 from slepian_prt.evaluation.report import check_folder, write_report
 from slepian_prt.relighting.picture import Picture
 from slepian_prt.scene.environments import make_environment
+from slepian_prt.transport.transfer import Job
 from tests.conftest import bumpy
 
 METHOD_FIELDS = {
@@ -20,6 +23,9 @@ METHOD_FIELDS = {
     "transfer_error",
     "predicted_error",
     "relit_error",
+    "predicted_relit_error",
+    "seam_across",
+    "seam_within",
     "image_error",
     "compress_seconds",
     "relight_seconds",
@@ -35,7 +41,16 @@ def comparison(tmp_path_factory):
     trimesh.Trimesh(mesh.positions, mesh.faces, process=False).export(path)
     rng = np.random.default_rng(2)
     maps = [make_environment(rng.random((16, 32, 3)) ** 3, name=name) for name in ("first", "second")]
-    return compare(path, maps, bandlimit=4, samples=64, clusters=8, terms=(4, 9, 40), width=64, noise=0.05)
+    return compare(
+        path,
+        maps,
+        job=Job(bandlimit=4, samples=64),
+        grouping=Settings(clusters=8),
+        methods=METHODS,
+        terms=(4, 9, 40),
+        width=64,
+        noise=0.05,
+    )
 
 
 def test_results_have_the_stable_names(comparison):
@@ -45,13 +60,13 @@ def test_results_have_the_stable_names(comparison):
     assert results["samples"] == 64
     assert results["clusters"] == 8
     assert results["environments"] == ["first", "second"]
-    assert {m["basis"] for m in results["methods"]} == {
-        "adapted", "transport", "slepian", "incident", "sh", "cpca", "none",
-    }  # fmt: skip
+    assert {m["basis"] for m in results["methods"]} == {*METHODS, "none"}
     for method in results["methods"]:
         assert set(method) == METHOD_FIELDS
         assert set(method["relit_error"]) == set(method["image_error"]) == {"first", "second"}
-        assert method["terms"] in (4, 9, 25) or method["coding"] == "coded"  # 40 is more than the bandlimit has
+        # 40 is more than the bandlimit has; slepian lacks some functions of it
+        assert method["terms"] in (4, 9, 16, 24, 25) or method["coding"] == "coded"
+        assert method["predicted_error"] is not None or method["basis"] in ("haar", "d3dx")
     assert {rung["environment"] for rung in results["ladder"]} == {"first", "second"}
     assert all({"stage", "error", "seconds"} <= set(rung) for rung in results["ladder"])
     assert all(0 < r["noise"] < 0.2 for r in results["references"].values())
@@ -74,7 +89,7 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", html)
     assert "bumpy &amp; &lt;ball&gt;.ply" in html
     assert "<ball>" not in html
-    for basis in ("adapted", "transport", "slepian", "incident", "sh", "cpca"):
+    for basis in METHODS[:-1]:
         assert f"{basis}, 9 functions" in html
         assert (tmp_path / "out" / f"first_{basis}_error.png").is_file()
     assert "entropy-coded" in html
@@ -124,7 +139,7 @@ def test_a_mitsuba_scene_in_its_own_light(view, tmp_path):
     material = ("diffuse", "reflectance") if view is None else ("roughplastic", "diffuse_reflectance")
     path = tmp_path / "corner.xml"
     path.write_text(CORNER.format(material=material[0], reflectance=material[1]))
-    result = compare(path, (), bandlimit=6, samples=512, terms=(9,), bases=("adapted",), noise=0.03, view=view)
+    result = compare(path, (), job=Job(6, 512, view=view), terms=(9,), methods=("adapted",), noise=0.03)
     assert [seen.environment.name for seen in result.views] == ["scene"]
     assert result.views[0].full.radiance.shape == (54, 72, 3)
     assert (result.transfer.bounces > 0) == (view is None)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from slepian_prt.compression.compressed import compress
+from slepian_prt.compression.pipeline import compress
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.errors import relative_rms
 from slepian_prt.evaluation.reference import render_reference, vertex_reference

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slepian_prt.compression.compressed import compress
+from slepian_prt.compression.pipeline import compress
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.reference import vertex_reference
 from slepian_prt.relighting.relight import relight

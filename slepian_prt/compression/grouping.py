@@ -1,0 +1,67 @@
+"""Clusters as asked for: of what, and by what they are grouped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.clusters import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
+from slepian_prt.compression.settings import Settings
+from slepian_prt.scene.meshes import Mesh
+from slepian_prt.transport.directions import SMALLEST_NET
+from slepian_prt.transport.transfer import Ready, Transfer
+from slepian_prt.transport.visibility import DirectTransfer
+
+
+def grouped(settings: Settings, transfer: Transfer) -> Clusters:
+    """Clusters as asked, from vectors that are there."""
+    first = transfer.vectors.mean(axis=1)
+    open_part = first[:, 0] * np.float32(math.sqrt(4.0 * math.pi))
+    axes = transfer.axes
+    if settings.group_by == "bent":
+        axes = bent_normals(first, axes)
+    return _cluster(settings, transfer.mesh, axes, open_part)
+
+
+def surveyed(settings: Settings, ready: Ready) -> Clusters:
+    """Clusters as asked, before transfer is there: after a quick look around if that takes one."""
+    mesh = ready.scene.mesh
+    axes, openness = mesh.normals, np.ones(len(mesh.positions), dtype=np.float32)
+    if settings.group_by == "bent" or settings.occlusion_classes > 1:
+        quick = DirectTransfer(ready.mi, ready.scene, 1, SMALLEST_NET, ready.plan.shadowed, ready.job.seed)
+        vectors, blocked = quick.of(np.arange(len(mesh.positions)))
+        openness = 1.0 - blocked
+        if settings.group_by == "bent":
+            axes = bent_normals(vectors, axes)
+    return _cluster(settings, mesh, axes, openness)
+
+
+def bent_normals(vectors: NDArray, normals: NDArray) -> NDArray[np.float64]:
+    """(V, 3) mean directions of the light that reaches each vertex, the normal where none does.
+
+    Parameters
+    ----------
+    vectors : (V, >= 4)
+        Transfer vectors; degree 1 holds -y, z, -x.
+    normals : (V, 3)
+    """
+    bent = np.stack([-vectors[:, 3], -vectors[:, 1], vectors[:, 2]], axis=1).astype(np.float64)
+    length = np.linalg.norm(bent, axis=1, keepdims=True)
+    return np.where(
+        (length > 1e-6) & np.any(normals != 0.0, axis=1)[:, None], bent / np.maximum(length, 1e-30), normals
+    )
+
+
+def _cluster(settings: Settings, mesh: Mesh, axes: NDArray, openness: NDArray) -> Clusters:
+    if settings.basis == "none":
+        return cluster_axes(axes, 1)
+    if settings.group_by == "surface":
+        return cluster_surface(mesh, axes, settings.clusters)
+    if settings.occlusion_classes > 1:
+        return cluster_by_occlusion(axes, openness, settings.occlusion_classes, settings.clusters)
+    clusters = cluster_axes(axes, settings.clusters)
+    # Files hold normals, not other axes, from which the index could be told.
+    return clusters if axes is mesh.normals else replace(clusters, sites=None)

@@ -1,0 +1,120 @@
+"""A few hundred vertices whose transfer is looked at before all others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.clusters import Clusters
+from slepian_prt.slepian.kernels import SecondMoment, measured_moment
+from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+
+# Vertices of each kind of cluster.
+PILOT_SIZE = 400
+
+
+def channel_mixing(channels: int) -> NDArray[np.float32]:
+    """Orthonormal rows that turn red, green and blue into channels that hardly correlate: their mean, then tints."""
+    if channels == 1:
+        return np.ones((1, 1), dtype=np.float32)
+    rows = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [1.0, -2.0, 1.0]])
+    return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
+
+
+def decorrelated(vectors: NDArray) -> NDArray[np.float32]:
+    """(n, channels, (L+1)²) transfer vectors with their channels mixed by `channel_mixing`."""
+    channels = vectors.shape[1]
+    return vectors if channels == 1 else np.einsum("dc,ncm->ndm", channel_mixing(channels), vectors)
+
+
+@dataclass(frozen=True)
+class MeanTransfer:
+    """The mean transfer in the vertex's own frame, averaged over azimuth: what the normal alone tells of a vector.
+
+    Attributes
+    ----------
+    zonal : (kinds, L+1) float32
+        Zonal coefficients t_l for each kind of cluster, as of a kernel; of the first (decorrelated) channel.
+    """
+
+    zonal: NDArray[np.float32]
+
+    def vectors(self, axes: NDArray, kind: int) -> NDArray[np.float32]:
+        """(n, (L+1)²): t_l y_lm(axis); zero where the axis is."""
+        bandlimit = self.zonal.shape[1] - 1
+        result = np.zeros((len(axes), num_coefficients(bandlimit)), dtype=np.float32)
+        lobe = self.zonal[kind].astype(np.float64)[degrees(bandlimit)]
+        for begin in range(0, len(axes), 8192):
+            block = slice(begin, begin + 8192)
+            lit = np.any(axes[block] != 0.0, axis=1)
+            if lit.any():
+                result[block][lit] = real_sh(bandlimit, axes[block][lit]) * lobe
+        return result
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What the pilot's vertices tell, for each kind of cluster.
+
+    Attributes
+    ----------
+    moments : tuple of SecondMoment
+        Of transfer vectors in their own frames; of what `mean` leaves of them if there is one.
+    energies : (kinds, L+1)
+        Mean squared norm of a transfer vector in each degree, over vertices and channels.
+    mean : MeanTransfer or None
+    """
+
+    moments: tuple[SecondMoment, ...]
+    energies: NDArray[np.float64]
+    mean: MeanTransfer | None = None
+
+
+def pilot_vertices(clusters: Clusters, axes: NDArray, seed: int) -> NDArray[np.int64]:
+    """Every n-th vertex in cluster order, for each kind of cluster: stratified over the axes."""
+    lit = np.any(axes != 0.0, axis=1)
+    rng = np.random.default_rng(seed)
+    chosen = []
+    for kind in np.unique(clusters.kinds):
+        in_order = np.concatenate([clusters.members[c] for c in np.flatnonzero(clusters.kinds == kind)])
+        in_order = in_order[lit[in_order]]
+        step = max(1, in_order.size // PILOT_SIZE)
+        chosen.append(in_order[rng.integers(step) :: step])
+    return np.concatenate(chosen)
+
+
+def learn(clusters: Clusters, axes: NDArray, vertices: NDArray, vectors: NDArray, *, centred: bool) -> Pilot:
+    """What bases are made from.
+
+    Parameters
+    ----------
+    clusters : Clusters
+    axes : (V, 3)
+    vertices : (n,) of `pilot_vertices`
+    vectors : (n, channels, (L+1)²)
+        Their transfer, channels decorrelated.
+    centred : bool
+        Whether the mean transfer is taken off, because the decoder can add it again.
+    """
+    bandlimit = round(np.sqrt(vectors.shape[2])) - 1
+    degree = degrees(bandlimit)
+    kinds = clusters.kinds[clusters.index[vertices]]
+    moments, energies, zonal = [], [], []
+    for kind in range(int(clusters.kinds.max()) + 1):
+        chosen = kinds == kind
+        to_local = np.swapaxes(rotation_to(axes[vertices[chosen]]), -1, -2)
+        local = rotate_sh(vectors[chosen].astype(np.float64), to_local[:, None])
+        squares = (local.reshape(-1, local.shape[2]) ** 2).mean(axis=0)
+        energies.append(np.bincount(degree, squares, minlength=bandlimit + 1))
+        # A zonal kernel t_l has the coefficients t_l √((2l+1)/4π) on the axis.
+        at_pole = np.sqrt((2.0 * np.arange(bandlimit + 1) + 1.0) / (4.0 * np.pi))
+        on_axis = np.arange(bandlimit + 1) * (np.arange(bandlimit + 1) + 1)
+        mean = (local[:, 0, on_axis].mean(axis=0) / at_pole).astype(np.float32)
+        zonal.append(mean)
+        if centred:
+            local[:, 0, on_axis] -= mean.astype(np.float64) * at_pole
+        moments.append(measured_moment(local.reshape(-1, local.shape[2])))
+    return Pilot(tuple(moments), np.array(energies), MeanTransfer(np.array(zonal)) if centred else None)

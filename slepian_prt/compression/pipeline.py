@@ -1,0 +1,228 @@
+"""From transfer vectors to a file: bases first, then block after block of vertices, then cap after cap.
+
+Bases are made from a pilot, before the vectors are there. So each block of vertices is traced, projected and forgotten,
+and the vectors of the whole mesh are never held; what is kept are the coefficients.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import slepian_prt
+from slepian_prt.compression.baselines import iterate_clusters, pca_candidates
+from slepian_prt.compression.clusters import Clusters
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.grouping import grouped, surveyed
+from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.store import Block, MemoryStore, Store, journal
+from slepian_prt.compression.work import Work
+from slepian_prt.scene.environments import project_environment
+from slepian_prt.scene.meshes import Mesh
+from slepian_prt.transport.buried import borrow
+from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.transfer import Job, Ready, Transfer
+from slepian_prt.transport.visibility import DirectTransfer
+
+_BLOCK = 4096
+
+# Terms that clusters of PCA are iterated for when their number is not given.
+_USUAL_TERMS = 16
+
+Tell = Callable[[str], None]
+
+
+def compress(
+    transfer: Transfer,
+    basis: str = "adapted",
+    *,
+    clusters: int | Clusters | None = None,
+    tell: Tell = lambda _: None,
+    **options: Any,
+) -> CompressedTransfer:
+    """Cluster, project, truncate and code transfer vectors.
+
+    Parameters
+    ----------
+    transfer : Transfer
+    basis : str
+    clusters : int, or Clusters made before
+    tell : callable
+        Told what is being done.
+    **options
+        The other attributes of `Settings`: tolerance, terms, truncate, epsilon, group_by, occlusion_classes,
+        light_prior, refine, coding.
+
+    Raises
+    ------
+    ValueError
+        An unknown name, a number outside its range, or options that exclude each other.
+    """
+    if not isinstance(clusters, Clusters) and clusters is not None:
+        options["clusters"] = clusters
+    settings = Settings(basis=basis, **options)
+    settings.check(transfer.bandlimit)
+    started = time.perf_counter()
+    given = clusters if isinstance(clusters, Clusters) else grouped(settings, transfer)
+    if settings.basis == "cpca":
+        terms = settings.terms or _USUAL_TERMS
+        given = iterate_clusters(given, transfer.axes, transfer.vectors, terms, tell)
+    work = Work(settings, transfer.mesh, transfer.axes, given, transfer.bandlimit, transfer.seed)
+    if settings.needs_all_vectors:
+        work.use(pca_candidates(transfer.bandlimit, given, transfer.vectors), transfer.vectors.shape[1])
+    else:
+        tell(f"basis {basis}")
+        work.learn(lambda vertices: transfer.vectors[vertices])
+    store = MemoryStore()
+    for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
+        vertices = np.arange(begin, min(begin + _BLOCK, len(transfer.vectors)))
+        store.add(number, work.block(vertices, transfer.vectors[vertices], np.zeros(vertices.size), 0))
+    tell("coding")
+    result = work.finish(store, {})
+    own = transfer.environment
+    return CompressedTransfer(
+        **result,
+        mesh=transfer.mesh,
+        parts=transfer.parts,
+        bandlimit=transfer.bandlimit,
+        clusters=given,
+        effects=transfer.effects,
+        bounces=transfer.bounces,
+        samples=transfer.samples,
+        seed=transfer.seed,
+        rays_traced=transfer.rays_traced,
+        seconds={**transfer.seconds, "compress": time.perf_counter() - started},
+        source=transfer.source,
+        lighting=None if own is None else project_environment(own, transfer.bandlimit),
+        view=transfer.view,
+        toward_view=transfer.toward_view,
+    )
+
+
+def precompute_compressed(
+    scene: str | Path | Mesh,
+    settings: Settings,
+    job: Job,
+    *,
+    on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
+    advance: Callable[[int, int], None] = lambda _done, _total: None,
+    tell: Tell = lambda _: None,
+) -> CompressedTransfer:
+    """Transfer of a scene, compressed as it is traced.
+
+    Work that is killed goes on from its finished blocks when it is started again with the same arguments. Vectors are
+    held all at once only where vertices depend on each other (interreflection), toward a view, and for bases that must
+    see them all.
+
+    Parameters
+    ----------
+    scene : path of a mesh or Mitsuba scene, or a `Mesh`
+    settings : Settings
+    job : Job
+    on_plan, advance : as of `precompute`
+    tell : callable
+        Told what is being done.
+
+    Raises
+    ------
+    UserError
+    """
+    settings.check(int(job.bandlimit))
+    with job.opened(scene, on_plan) as ready:
+        if not ready.by_blocks or settings.needs_all_vectors:
+            transfer = ready.transfer(advance)
+            return compress(transfer, tell=tell, **vars(settings))
+        return _streamed(ready, settings, advance, tell)
+
+
+def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], None], tell: Tell) -> CompressedTransfer:
+    job, mesh = ready.job, ready.scene.mesh
+    bandlimit, count = int(job.bandlimit), len(mesh.positions)
+    source = ready.direct()
+    clusters = surveyed(settings, ready)
+    work = Work(settings, mesh, mesh.normals, clusters, bandlimit, job.seed)
+    work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
+    before = source.rays
+    with journal(_fingerprint(ready, work)) as store:
+        blocks = source.blocks
+        done = {number for number, _ in store}
+        if done:
+            kept = sum(blocks[number].size for number in done)
+            tell(f"{len(done)} of {len(blocks)} blocks were finished before and are kept")
+            advance(kept, count)
+        left = [number for number in range(len(blocks)) if number not in done]
+
+        def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray) -> None:
+            store.add(left[place], work.block(vertices, vectors[:, None, :], blocked, source.rays - before))
+
+        source.run([blocks[number] for number in left], deliver, lambda n: advance(n, count))
+        ready.clock.stop("transport")
+        tell("coding")
+        overrides = _borrowed(ready, source, work, store)
+        # A block knows the rays that its own run had traced by then.
+        rays = source.rays + sum(block.rays for number, block in store if number in done)
+        result = work.finish(store, overrides)
+    ready.clock.stop("compress")
+    own = ready.scene.environment
+    return CompressedTransfer(
+        **result,
+        mesh=mesh,
+        parts=ready.scene.parts,
+        bandlimit=bandlimit,
+        clusters=clusters,
+        effects=ready.plan.effects,
+        bounces=0,
+        samples=int(job.samples),
+        seed=job.seed,
+        rays_traced=rays,
+        seconds=ready.clock.seconds,
+        source=ready.scene.path,
+        lighting=None if own is None else project_environment(own, bandlimit),
+        view=ready.scene.view,
+    )
+
+
+def _borrowed(ready: Ready, source: DirectTransfer, work: Work, store: Store) -> dict[int, Block]:
+    """Blocks of the vertices inside other geometry, whose transfer is that of their neighbours."""
+    dark = [block.vertices[block.figures[:, 0] >= 1.0] for _, block in store]
+    receivers = ready.scene.mesh.receivers
+    found = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *dark]))
+    borrowed = borrow(ready.mi, ready.scene, found[receivers[found]].astype(np.int64))
+    overrides = {}
+    for number, begin in enumerate(range(0, borrowed.rows.size, _BLOCK)):
+        rows = borrowed.rows[begin : begin + _BLOCK]
+        weights = borrowed.weights[begin : begin + _BLOCK]
+        lenders = np.unique(weights.indices)
+        vectors = weights[:, lenders] @ source.of(lenders)[0]
+        overrides[number] = work.block(rows, vectors[:, None, :].astype(np.float32), np.ones(rows.size), 0)
+    return overrides
+
+
+def _fingerprint(ready: Ready, work: Work) -> str:
+    """Of everything that blocks of coefficients depend on."""
+    digest = hashlib.sha256()
+    scene, job, plan = ready.scene, ready.job, ready.plan
+    digest.update(repr((slepian_prt.__version__, ready.mi.variant(), job.bandlimit, job.seed, plan.nodes)).encode())
+    arrays = [
+        scene.mesh.positions,
+        scene.mesh.normals,
+        scene.mesh.faces,
+        plan.shadowed,
+        scene.origin,
+        scene.ray_origins,
+    ]
+    for shape in scene.shapes:
+        box = shape.bbox()
+        arrays += [np.array(box.min), np.array(box.max), np.array([shape.surface_area()], dtype=np.float64)]
+    arrays += [work.clusters.index, *(basis.analysis for basis in work.bases)]
+    if work.pilot is not None and work.pilot.mean is not None:
+        arrays.append(work.pilot.mean.zonal)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]

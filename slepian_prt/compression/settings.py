@@ -1,0 +1,140 @@
+"""What is asked of compression."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slepian_prt.compression import truncation
+from slepian_prt.compression.bases import ANALYTIC
+from slepian_prt.compression.light_prior import LightPrior
+from slepian_prt.compression.prediction import Expectation
+from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.transfer import LARGEST_BANDLIMIT
+
+BASES = (*ANALYTIC, "pca", "cpca")
+CODINGS = ("coded", "float16", "float32")
+GROUPINGS = ("normal", "bent", "surface")
+
+DEFAULT_CLUSTERS = 96
+DEFAULT_TOLERANCE = 0.02
+LARGEST_CLUSTERS = 4096
+LARGEST_CLASSES = 16
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to compress.
+
+    Attributes
+    ----------
+    basis : one of adapted, transport, slepian, incident, sh, direct, pca, cpca, none
+        ``none`` keeps all (L+1)² spherical harmonics; ``pca`` and ``cpca`` look at all vectors.
+    tolerance : float > 0, optional
+        Wanted relative error, of the transfer vectors or, with a light prior, of radiance under such light. The default
+        rule, at 0.02. Of coefficients that are ``coded`` the rounding step meets it (functions that round to zero cost
+        next to nothing); otherwise the number of functions does, by prediction.
+    terms : int, optional
+        Instead: this many functions in each cap.
+    truncate : n_g, n_ref or count, optional
+        Instead: the Shannon number of each cap, with ``epsilon``.
+    epsilon : float in (0, 1), optional
+        Concentration down to which ``truncate`` counts; 0.01 by default.
+    clusters : int
+    group_by : normal, bent or surface
+        What is grouped into caps: normals, bent normals (the mean direction of the light that is not blocked), or
+        neighbourhoods on the surface (geodesic patches).
+    occlusion_classes : int
+        Parts of equally many vertices, from occluded to open, that are grouped and learnt from separately.
+    light_prior : LightPrior, optional
+        Of light that errors count under.
+    refine : bool, optional
+        Second stage: principal axes inside the coefficients of each cap. By default where it makes the file smaller.
+    coding : coded, float16 or float32, optional
+        By default ``coded`` with a tolerance, and ``float32`` with a given number of functions.
+    """
+
+    basis: str = "adapted"
+    tolerance: float | None = None
+    terms: int | None = None
+    truncate: str | None = None
+    epsilon: float | None = None
+    clusters: int = DEFAULT_CLUSTERS
+    group_by: str = "normal"
+    occlusion_classes: int = 1
+    light_prior: LightPrior | None = None
+    refine: bool | None = None
+    coding: str | None = None
+
+    @property
+    def by_number(self) -> bool:
+        """Whether the number of functions is given."""
+        return self.basis == "none" or self.terms is not None or self.truncate is not None
+
+    @property
+    def codes(self) -> str:
+        """The coding, default resolved."""
+        return self.coding or ("float32" if self.by_number else "coded")
+
+    @property
+    def asked(self) -> float:
+        """The tolerance, default resolved."""
+        return DEFAULT_TOLERANCE if self.tolerance is None else self.tolerance
+
+    @property
+    def needs_all_vectors(self) -> bool:
+        """Whether bases are made from the vectors of the whole mesh."""
+        return self.basis in ("pca", "cpca")
+
+    def expected_error(self, expected: Expectation) -> float:
+        """Of what the tolerance is about."""
+        return expected.relative(None if self.light_prior is None else self.light_prior.weights**2)
+
+    def check(self, bandlimit: int) -> None:
+        """Raise UserError, before any work, on what cannot be done."""
+        check_bandlimit(bandlimit, largest=LARGEST_BANDLIMIT)
+        rules = {"tolerance": self.tolerance, "terms": self.terms, "truncate": self.truncate}
+        given = [name for name, value in rules.items() if value is not None]
+        if len(given) > 1:
+            raise UserError(f"only one of tolerance, terms and truncate may be given, not {' and '.join(given)}")
+        if self.basis not in (*BASES, "none"):
+            raise UserError(f"basis must be one of {', '.join((*BASES, 'none'))}, not {self.basis!r}")
+        if self.basis == "none" and given:
+            raise UserError(f"basis none keeps all functions; leave out {given[0]}, or choose another basis")
+        if self.terms is not None:
+            check_terms(self.terms, num_coefficients(bandlimit))
+        if self.truncate is not None and self.truncate not in truncation.TRUNCATIONS:
+            raise UserError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {self.truncate!r}")
+        if self.truncate is not None and self.needs_all_vectors:
+            raise UserError(f"truncate counts functions of a cap, which {self.basis} does not have; use terms")
+        if self.tolerance is not None and not (math.isfinite(self.tolerance) and self.tolerance > 0.0):
+            raise UserError(f"tolerance must be a positive number, not {self.tolerance!r}")
+        if self.epsilon is not None:
+            check_epsilon(self.epsilon)
+            if self.truncate is None:
+                raise UserError("epsilon says where truncate stops counting; give truncate too, or leave it out")
+        _check_whole(self.clusters, "clusters", LARGEST_CLUSTERS)
+        _check_whole(self.occlusion_classes, "occlusion_classes", LARGEST_CLASSES)
+        if self.group_by not in GROUPINGS:
+            raise UserError(f"group_by must be one of {', '.join(GROUPINGS)}, not {self.group_by!r}")
+        if self.group_by == "surface" and self.occlusion_classes > 1:
+            raise UserError("occlusion_classes divide caps of axes; leave them out, or group by normal or bent")
+        if self.codes not in CODINGS:
+            raise UserError(f"coding must be one of {', '.join(CODINGS)}, not {self.coding!r}")
+        if self.light_prior is not None:
+            if self.needs_all_vectors or self.basis == "none":
+                raise UserError(f"a light prior has no effect on basis {self.basis}; leave it out")
+            if len(self.light_prior.weights) != bandlimit + 1:
+                raise UserError(
+                    f"light_prior must be made for bandlimit {bandlimit}, not {len(self.light_prior.weights) - 1}"
+                )
+        if self.refine and (self.needs_all_vectors or self.basis == "none"):
+            raise UserError(f"refine has no effect on basis {self.basis}; leave it out")
+
+
+def _check_whole(value: object, name: str, largest: int) -> None:
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= largest:
+        raise UserError(f"{name} must be an integer in [1, {largest}], not {value!r}")

@@ -1,0 +1,285 @@
+"""One compression: bases decided before the vectors are there, blocks projected on them, caps coded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression import codec, truncation
+from slepian_prt.compression.bases import Candidate, LinearBasis, Problem, candidates
+from slepian_prt.compression.caps import Caps
+from slepian_prt.compression.clusters import Clusters
+from slepian_prt.compression.compressed import Coded, frames_of
+from slepian_prt.compression.pilot import Pilot, decorrelated, learn, pilot_vertices
+from slepian_prt.compression.prediction import Expectation, by_degree
+from slepian_prt.compression.refinement import refine
+from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.store import Block, Store
+from slepian_prt.scene.meshes import Mesh
+from slepian_prt.sphere.caps import Cap
+from slepian_prt.sphere.harmonics import degrees, num_coefficients
+
+# With a given number of functions, rounding may add this part to the squared error of leaving out the others.
+_ROUNDING_SHARE = 0.1
+_FINEST_ROUNDING = 1e-3
+
+# Functions that are coded may leave out this part of the squared tolerance, by prediction; rounding gets the rest.
+_LEFT_OUT = 0.1
+# A second stage needs nearly everything to choose from: this part of the energy may be left out before it.
+_LEFT_OUT_BEFORE_REFINING = 1e-5
+
+# Below this tolerance functions are stored in float32.
+_FINE = 0.005
+
+# Vertices that the step and the models are fitted to, in whole caps.
+_SAMPLE = 30_000
+_ATTEMPTS = 3
+# What is left of the error asked for need not be used up to the last.
+_CLOSE = 0.95
+
+
+class Work:
+    """One compression: what was decided, and how blocks become caps.
+
+    Attributes
+    ----------
+    bases : tuple of LinearBasis
+        What blocks are projected on.
+    pilot : Pilot or None
+    """
+
+    bases: tuple[LinearBasis, ...]
+    channels: int
+
+    def __init__(
+        self, settings: Settings, mesh: Mesh, axes: NDArray, clusters: Clusters, bandlimit: int, seed: int
+    ) -> None:
+        self.settings, self.mesh, self.clusters, self.bandlimit, self._seed = settings, mesh, clusters, bandlimit, seed
+        self._axes = axes.astype(np.float32).astype(np.float64)  # as the file has normals
+        self.pilot: Pilot | None = None
+        self._found: list[Candidate] = []
+        prior = settings.light_prior
+        self._weights = None if prior is None else prior.weights
+
+    # --- Before the vectors ---
+
+    @property
+    def _codes(self) -> bool:
+        return self.settings.codes == "coded"
+
+    @property
+    def _name(self) -> str:
+        return "sh" if self.settings.basis == "none" else self.settings.basis
+
+    def learn(self, vectors_of: Callable[[NDArray], NDArray]) -> None:
+        """Make the bases from a pilot; ``vectors_of`` gives (n, channels, (L+1)²) for vertices."""
+        vertices = pilot_vertices(self.clusters, self._axes, self._seed)
+        vectors = decorrelated(vectors_of(vertices))
+        # The decoder can add what normals tell only if the frames are those of normals.
+        centred = self._codes and not np.any(self._axes - self._normals)
+        pilot = learn(self.clusters, self._axes, vertices, vectors, centred=centred)
+        self.pilot = pilot
+        frames = self.clusters
+        if self._codes:
+            # One set of functions for all caps: it is stored once, and what it does not fit costs little.
+            width = float(np.average([cap.half_angle for cap in frames.caps], weights=frames.sizes))
+            frames = replace(frames, caps=tuple(Cap(center, width) for center in frames_of(frames)))
+        self.use(candidates(self._name, Problem(self.bandlimit, frames, pilot, self._weights)), vectors.shape[1])
+
+    def use(self, found: list[Candidate], channels: int) -> None:
+        """Cut candidates, one for each cap, to the bases that blocks are projected on."""
+        self._found, self.channels = found, channels
+        bases = tuple(candidate.cut(int(k)) for candidate, k in zip(found, self._counts(), strict=True))
+        if self.settings.codes != "float32" and not (self._codes and self.settings.asked < _FINE):
+            bases = tuple(basis.halved() for basis in bases)
+        self.bases = bases
+
+    @cached_property
+    def _normals(self) -> NDArray[np.float64]:
+        return self.mesh.normals.astype(np.float32).astype(np.float64)
+
+    def _counts(self) -> NDArray[np.int64]:
+        """How many functions of each cap to project on."""
+        settings, found, sizes = self.settings, self._found, self.clusters.sizes
+        if settings.refine and not self._codes:
+            return truncation.by_tolerance(found, sizes, math.sqrt(_LEFT_OUT_BEFORE_REFINING))
+        if settings.by_number or not self._codes:
+            return self._by_rule(found)
+        if settings.needs_all_vectors:
+            return truncation.by_terms(found, num_coefficients(self.bandlimit))
+        # The same functions for all caps: as many as any of them would want.
+        missing = math.sqrt(_LEFT_OUT) * settings.asked * self._scale_of_candidates()
+        counts = truncation.by_tolerance(found, sizes, min(missing, 1e6))
+        return np.minimum(counts.max(), [c.energies.size for c in found])
+
+    def _by_rule(self, found: list[Candidate]) -> NDArray[np.int64]:
+        """How many functions the rule that was asked for keeps."""
+        settings = self.settings
+        if settings.basis == "none":
+            return truncation.by_terms(found, num_coefficients(self.bandlimit))
+        if settings.terms is not None:
+            return truncation.by_terms(found, settings.terms)
+        if settings.truncate is not None:
+            epsilon = 0.01 if settings.epsilon is None else settings.epsilon
+            return truncation.by_shannon(found, self.clusters.caps, self.bandlimit, settings.truncate, epsilon)
+        return truncation.by_tolerance(found, self.clusters.sizes, settings.asked)
+
+    def _scale_of_candidates(self) -> float:
+        """Norm of whole vectors over that of what candidates see of them, which is less if a mean was taken off."""
+        sizes = self.clusters.sizes
+        seen = sum(c.total * n for c, n in zip(self._found, sizes, strict=True))
+        assert self.pilot is not None
+        power = np.ones(self.bandlimit + 1) if self._weights is None else self._weights**2
+        whole = float(self.pilot.energies[self.clusters.kinds] @ power @ sizes)
+        return math.sqrt(whole / seen) if seen > 0.0 else 1.0
+
+    # --- Block after block ---
+
+    def block(self, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> Block:
+        """Project a block of (n, channels, (L+1)²) transfer vectors."""
+        order = np.argsort(self.clusters.index[vertices], kind="stable")
+        vertices = vertices[order]
+        mixed = decorrelated(vectors[order])
+        scale = np.ones(1) if self._weights is None else self._weights[degrees(self.bandlimit)]
+        figures = np.zeros((vertices.size, 3), dtype=np.float32)
+        figures[:, 0] = blocked[order]
+        figures[:, 1] = np.sum((mixed * scale) ** 2, axis=(1, 2))
+        caps, starts = np.unique(self.clusters.index[vertices], return_index=True)
+        pieces = []
+        for c, rows in zip(caps, np.split(np.arange(vertices.size), starts[1:]), strict=True):
+            rest, basis = mixed[rows], self.bases[c]
+            if self.pilot is not None and self.pilot.mean is not None:
+                rest = rest.copy()
+                rest[:, 0] -= self.pilot.mean.vectors(self._normals[vertices[rows]], int(self.clusters.kinds[c]))
+            pieces.append(basis.project(rest))
+            if basis.mean is not None:
+                rest = rest - basis.mean
+            whole = np.sum((rest * scale) ** 2, axis=(1, 2), dtype=np.float64)
+            kept = np.sum(pieces[-1].astype(np.float64) ** 2, axis=1)
+            figures[rows, 2] = np.maximum(whole - kept, 0.0)
+        flat = np.concatenate([np.zeros(0, dtype=np.float32), *(piece.ravel() for piece in pieces)])
+        return Block(vertices.astype(np.int32), figures, flat, rays)
+
+    # --- Cap after cap ---
+
+    def finish(self, store: Store, overrides: dict[int, Block]) -> dict[str, Any]:
+        """What the result holds of coefficients, bases and expected error."""
+        widths = np.array([basis.count * self.channels for basis in self.bases], dtype=np.int64)
+        caps = Caps(self.mesh, self.clusters, widths, store, overrides)
+        common = {"basis": self.settings.basis, "channels": self.channels, "prior": ""}
+        if self.settings.light_prior is not None:
+            common["prior"] = self.settings.light_prior.name
+        if self._codes:
+            return {**common, **self._coded(caps)}
+        if self.settings.refine:
+            return {**common, **self._refined(caps)}
+        kind = np.dtype(self.settings.codes)
+        return {
+            **common,
+            "bases": self.bases,
+            "coefficients": tuple(caps.members(c).astype(kind) for c in range(len(self.bases))),
+            "expected": self._expected(self._lost()),
+            "terms": self._mean_terms(self.bases),
+        }
+
+    def _lost(self) -> list[NDArray[np.float64]]:
+        """What the bases are expected to lose of each cap's vectors, by degree."""
+        return [found.lost(b.count + (b.mean is not None)) for found, b in zip(self._found, self.bases, strict=True)]
+
+    def _mean_terms(self, bases: tuple[LinearBasis, ...]) -> float:
+        counts = np.array([basis.count + (basis.mean is not None) for basis in bases])
+        return float(counts @ self.clusters.sizes / self.clusters.sizes.sum())
+
+    def _expected(self, lost: list[NDArray]) -> Expectation:
+        """From what each cap's vectors are expected to lose."""
+        sizes = self.clusters.sizes / self.clusters.sizes.sum()
+        if self.pilot is not None:
+            total = sizes @ self.pilot.energies[self.clusters.kinds]
+        else:  # what nothing holds is everything
+            total = sizes @ np.array([found.lost(0) for found in self._found])
+        return Expectation(sizes @ np.array(lost), total)
+
+    def _refined(self, caps: Caps) -> dict[str, Any]:
+        """Mean and principal axes of the coefficients of each cap."""
+        refined = [
+            refine(basis, found.lost(basis.count), caps.members(c), self.channels)
+            for c, (basis, found) in enumerate(zip(self.bases, self._found, strict=True))
+        ]
+        found = [part.candidate for part in refined]
+        counts = self._by_rule(found)
+        bases = tuple(part.candidate.cut(int(k)) for part, k in zip(refined, counts, strict=True))
+        if self.settings.codes == "float16":
+            bases = tuple(basis.halved() for basis in bases)
+        return {
+            "bases": bases,
+            "coefficients": tuple(
+                part.coefficients(caps.members(c), basis.count).astype(self.settings.codes)
+                for c, (part, basis) in enumerate(zip(refined, bases, strict=True))
+            ),
+            "expected": self._expected([c.lost(int(k)) for c, k in zip(found, counts, strict=True)]),
+            "terms": self._mean_terms(bases),
+        }
+
+    def _coded(self, caps: Caps) -> dict[str, Any]:
+        """All caps coded with one step, such that the error asked for is met by measurement."""
+        total, missed = caps.energies()
+        if self.settings.by_number:
+            wanted = max(_ROUNDING_SHARE * missed, _FINEST_ROUNDING**2 * total)
+        else:
+            wanted = max(self.settings.asked**2 * total - missed, 0.01 * self.settings.asked**2 * total)
+        tuning, encoded = self._encoded(caps, wanted)
+        lost, norm = np.zeros(self.bandlimit + 1), self.clusters.sizes.sum() * self.channels
+        for basis, cap in zip(self.bases, encoded, strict=True):
+            errors = np.einsum("kclc->kl", cap.errors.reshape(basis.count, self.channels, basis.count, self.channels))
+            lost += by_degree(np.sum((errors @ basis.synthesis) * basis.synthesis, axis=0)) / norm
+        expected = self._expected(self._lost())
+        # What the bases miss is spread over the degrees as the pilot has it; its sum was measured on all vertices.
+        power = np.ones(self.bandlimit + 1) if self._weights is None else self._weights**2
+        foreseen, whole = float(power @ expected.lost), float(power @ expected.total)
+        missing = expected.lost * (missed / norm / foreseen if foreseen > 0.0 else 0.0)
+        everything = expected.total * (total / norm / whole if whole > 0.0 else 1.0)
+        used = np.array([cap.used / self.channels for cap in encoded]) + (self.bases[0].mean is not None)
+        return {
+            "bases": self.bases,
+            "coded": Coded(tuning, tuple(cap.words for cap in encoded)),
+            "mean": None if self.pilot is None else self.pilot.mean,
+            "expected": Expectation(lost + missing, everything),
+            "terms": float(used @ self.clusters.sizes / self.clusters.sizes.sum()),
+        }
+
+    def _encoded(self, caps: Caps, wanted: float) -> tuple[codec.Tuning, list[codec.EncodedCap]]:
+        """Tune on some caps, code all, and again with another step until what rounding changed is what is wanted."""
+        sizes, chosen, sampled = self.clusters.sizes, [], 0
+        # Caps of all sizes, the same every time.
+        for c in np.random.default_rng(self._seed).permutation(len(sizes)):
+            if sampled < _SAMPLE and sizes[c] > 0:
+                chosen.append(int(c))
+                sampled += int(sizes[c])
+        samples = [caps.along(c) for c in chosen]
+        finest = caps.largest() / codec.LARGEST_MULTIPLE
+        tuning = codec.tune(samples, wanted * sampled / int(sizes.sum()), finest)
+        del samples
+        best: tuple[codec.Tuning, list[codec.EncodedCap]] | None = None
+        attempts = 0
+        while True:
+            attempts += 1
+            encoded = [self._encode(caps, c, tuning) for c in range(len(self.bases))]
+            distortion = sum(cap.distortion for cap in encoded)
+            if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
+                best = tuning, encoded
+            close = _CLOSE * wanted <= distortion <= wanted or tuning.step <= finest or distortion == 0.0
+            if best is not None and (close or attempts >= _ATTEMPTS):
+                return best
+            # Distortion grows with a power of the step between one and two; a little less than aimed for is enough.
+            change = (0.5 * (1.0 + _CLOSE) * wanted / distortion) ** 0.65
+            tuning = replace(tuning, step=max(tuning.step * min(max(change, 0.25), 4.0), finest))
+
+    def _encode(self, caps: Caps, c: int, tuning: codec.Tuning) -> codec.EncodedCap:
+        turn = False if self.settings.needs_all_vectors else self.settings.refine
+        return codec.encode_cap(*caps.along(c), tuning, turn=turn)
