@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 
+from benchmarks.compression import compression
 from benchmarks.sphere import sphere
 from benchmarks.transport import dragons, transport
 
-BENCHMARKS = {"sphere": sphere, "transport": transport, "dragons": dragons}
+BENCHMARKS = {"sphere": sphere, "compression": compression, "transport": transport, "dragons": dragons}
 
 
 def main() -> None:

@@ -41,7 +41,7 @@ def pca_candidates(bandlimit: int, clusters: Clusters, vectors: NDArray) -> list
 
 def _pca(bandlimit: int, center: NDArray, vectors: NDArray) -> Candidate:
     size = num_coefficients(bandlimit)
-    mean, components, variances = principal(vectors.astype(np.float64))
+    mean, components, variances = principal(vectors)
     of_mean = float(np.mean(np.sum(mean * mean, axis=1)))
 
     def cut(k: int) -> LinearBasis:
@@ -56,9 +56,10 @@ def _pca(bandlimit: int, center: NDArray, vectors: NDArray) -> Candidate:
     return Candidate(np.concatenate([[of_mean], variances])[:size], of_mean + float(variances.sum()), cut, lost)
 
 
-def principal(vectors: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+def principal(vectors: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     """Mean (channels, M), components (M, M) strongest first, and variances (M,) of (n, channels, M) vectors."""
     size = vectors.shape[2]
+    vectors = vectors.astype(np.float64)
     mean = vectors.mean(axis=0) if len(vectors) else np.zeros(vectors.shape[1:])
     centred = (vectors - mean).reshape(-1, size)
     variances, components = np.linalg.eigh(centred.T @ centred / max(len(centred), 1))
@@ -85,7 +86,7 @@ def iterate_clusters(
     last = math.inf
     for iteration in range(_ITERATIONS):
         tell(f"clustered PCA, {terms} terms: clustering, pass {iteration + 1}")
-        fits = [principal(mixed[index == c].astype(np.float64)) for c in np.unique(index)]
+        fits = [principal(mixed[index == c]) for c in np.unique(index)]
         near = _nearest_means(mixed, np.array([mean for mean, _, _ in fits], dtype=np.float32))
         error = np.full(count, np.inf)
         nearest = np.zeros(count, dtype=np.int64)

@@ -59,7 +59,7 @@ class LinearBasis:
     mean: NDArray | None = None
     weights: NDArray[np.float64] | None = None
 
-    @property
+    @cached_property
     def functions(self) -> NDArray[np.float64]:
         """(K, (L+1)²) in the world frame."""
         if self.radial is not None and self.orders is not None:
@@ -78,10 +78,10 @@ class LinearBasis:
         """(K, (L+1)²): what a vector is multiplied with to get its coefficients."""
         return (self.functions * self._scale).astype(np.float32)
 
-    @cached_property
+    @property
     def synthesis(self) -> NDArray[np.float64]:
         """(K, (L+1)²): what coefficients are multiplied with to get the vector."""
-        return np.asarray(self.functions / self._scale)
+        return self.functions if self.weights is None else np.asarray(self.functions / self._scale)
 
     @property
     def _scale(self) -> NDArray[np.float64]:
@@ -343,8 +343,9 @@ def _radial_candidate(problem: Problem, cap: Cap, kind: int, name: str, radial: 
         )
 
     # Caps of one half-angle have the same functions and the same expectations.
-    key = (name, shared_half_angle(cap.half_angle))
-    return _predicted(problem, cap, kind, scatter_radial(radial, orders), cut, key)
+    key = (name, kind, shared_half_angle(cap.half_angle))
+    in_cap_frame = problem._once(("in frame", *key), lambda: scatter_radial(radial, orders))
+    return _predicted(problem, cap, kind, in_cap_frame, cut, key)
 
 
 def _predicted(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -51,15 +52,19 @@ class Caps:
     def energies(self) -> tuple[float, float]:
         """Sums over all vertices of the squared norms of (weighted) vectors and of what the bases miss."""
         figures = np.zeros((len(self.mesh.positions), 2))
-        for block in (*(block for _, block in self.store), *self.overrides.values()):
+        for block in self._blocks():
             figures[block.vertices] = block.figures[:, 1:]
         total, missed = figures.sum(axis=0)
         return float(total), float(missed)
 
     def largest(self) -> float:
         """The largest size of a coefficient."""
-        blocks = (*(block for _, block in self.store), *self.overrides.values())
-        return max((float(np.abs(block.coefficients).max(initial=0.0)) for block in blocks), default=0.0)
+        return max((float(np.abs(block.coefficients).max(initial=0.0)) for block in self._blocks()), default=0.0)
+
+    def _blocks(self) -> Iterator[Block]:
+        """One after the other: together they may not fit in memory."""
+        yield from (block for _, block in self.store)
+        yield from self.overrides.values()
 
     def members(self, c: int) -> NDArray[np.float32]:
         """(n, K channels) coefficients of a cap, in the order of its members."""

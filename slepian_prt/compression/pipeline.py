@@ -7,6 +7,7 @@ and the vectors of the whole mesh are never held; what is kept are the coefficie
 from __future__ import annotations
 
 import hashlib
+import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +31,10 @@ from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import Job, Ready, Transfer
 from slepian_prt.transport.visibility import DirectTransfer
 
-_BLOCK = 4096
+log = logging.getLogger(__name__)
+
+# Vertices that are projected at a time when their vectors are there.
+_BLOCK = 1 << 14
 
 # Terms that clusters of PCA are iterated for when their number is not given.
 _USUAL_TERMS = 16
@@ -148,25 +152,24 @@ def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], No
     clusters = surveyed(settings, ready)
     work = Work(settings, mesh, mesh.normals, clusters, bandlimit, job.seed)
     work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
-    before = source.rays
+    of_pilot = source.rays
     with journal(_fingerprint(ready, work)) as store:
         blocks = source.blocks
         done = {number for number, _ in store}
         if done:
             kept = sum(blocks[number].size for number in done)
-            tell(f"{len(done)} of {len(blocks)} blocks were finished before and are kept")
+            log.info("%d of %d blocks were finished before and are kept", len(done), len(blocks))
             advance(kept, count)
         left = [number for number in range(len(blocks)) if number not in done]
 
-        def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray) -> None:
-            store.add(left[place], work.block(vertices, vectors[:, None, :], blocked, source.rays - before))
+        def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> None:
+            store.add(left[place], work.block(vertices, vectors[:, None, :], blocked, rays))
 
         source.run([blocks[number] for number in left], deliver, lambda n: advance(n, count))
         ready.clock.stop("transport")
         tell("coding")
         overrides = _borrowed(ready, source, work, store)
-        # A block knows the rays that its own run had traced by then.
-        rays = source.rays + sum(block.rays for number, block in store if number in done)
+        rays = of_pilot + sum(block.rays for _, block in store)
         result = work.finish(store, overrides)
     ready.clock.stop("compress")
     own = ready.scene.environment

@@ -32,9 +32,10 @@ class Refined:
     mean: NDArray[np.float64]
     axes: NDArray[np.float64]
 
-    def coefficients(self, first: NDArray, count: int) -> NDArray[np.float64]:
+    def coefficients(self, first: NDArray, count: int) -> NDArray[np.float32]:
         """(n, count channels) from those of the first stage, (n, K channels)."""
-        along = (_by_channel(first, len(self.mean)) - self.mean) @ self.axes[:count].T
+        axes = self.axes[:count].astype(np.float32)
+        along = _by_channel(first, len(self.mean)) @ axes.T - (self.mean @ self.axes[:count].T).astype(np.float32)
         return along.swapaxes(1, 2).reshape(len(along), -1)
 
 
@@ -63,12 +64,13 @@ def refine(basis: LinearBasis, lost: NDArray, coefficients: NDArray, channels: i
         )
 
     def missing(k: int) -> NDArray[np.float64]:
-        return lost + by_degree(variances[k - 1 :] @ (axes[k - 1 :] @ synthesis) ** 2)
+        rest = axes[k - 1 :].T * variances[k - 1 :] @ axes[k - 1 :]
+        return lost + by_degree(np.einsum("km,km->m", rest @ synthesis, synthesis))
 
     energies = np.concatenate([[of_mean], variances])
     return Refined(Candidate(energies, float(energies.sum()), cut, missing), mean, axes)
 
 
-def _by_channel(coefficients: NDArray, channels: int) -> NDArray[np.float64]:
+def _by_channel(coefficients: NDArray, channels: int) -> NDArray:
     """(n, channels, K) from (n, K channels)."""
-    return coefficients.reshape(len(coefficients), -1, channels).swapaxes(1, 2).astype(np.float64)
+    return coefficients.reshape(len(coefficients), -1, channels).swapaxes(1, 2)

@@ -44,7 +44,7 @@ class Block(NamedTuple):
     coefficients : (m,) float32
         Of one vertex after the other, as many for each as its cap has.
     rays : int
-        Traced so far.
+        Traced for it.
     """
 
     vertices: NDArray[np.int32]

@@ -31,8 +31,9 @@ _FINEST_ROUNDING = 1e-3
 
 # Functions that are coded may leave out this part of the squared tolerance, by prediction; rounding gets the rest.
 _LEFT_OUT = 0.1
-# A second stage needs nearly everything to choose from: this part of the energy may be left out before it.
-_LEFT_OUT_BEFORE_REFINING = 1e-5
+# A second stage needs more functions to choose from: the first may leave out this part of the squared error that it
+# would have with the number of functions asked for.
+_LEFT_OUT_BEFORE_REFINING = 0.02
 
 # Below this tolerance functions are stored in float32.
 _FINE = 0.005
@@ -86,7 +87,7 @@ class Work:
         pilot = learn(self.clusters, self._axes, vertices, vectors, centred=centred)
         self.pilot = pilot
         frames = self.clusters
-        if self._codes:
+        if self._codes or self.settings.refine:
             # One set of functions for all caps: it is stored once, and what it does not fit costs little.
             width = float(np.average([cap.half_angle for cap in frames.caps], weights=frames.sizes))
             frames = replace(frames, caps=tuple(Cap(center, width) for center in frames_of(frames)))
@@ -108,11 +109,12 @@ class Work:
         """How many functions of each cap to project on."""
         settings, found, sizes = self.settings, self._found, self.clusters.sizes
         if settings.refine and not self._codes:
-            return truncation.by_tolerance(found, sizes, math.sqrt(_LEFT_OUT_BEFORE_REFINING))
+            without = truncation.predicted_error(found, self._by_rule(found), sizes)
+            return truncation.by_tolerance(found, sizes, math.sqrt(_LEFT_OUT_BEFORE_REFINING) * without)
         if settings.by_number or not self._codes:
             return self._by_rule(found)
         if settings.needs_all_vectors:
-            return truncation.by_terms(found, num_coefficients(self.bandlimit))
+            return truncation.by_tolerance(found, sizes, math.sqrt(_LEFT_OUT) * settings.asked)
         # The same functions for all caps: as many as any of them would want.
         missing = math.sqrt(_LEFT_OUT) * settings.asked * self._scale_of_candidates()
         counts = truncation.by_tolerance(found, sizes, min(missing, 1e6))
@@ -146,25 +148,32 @@ class Work:
         order = np.argsort(self.clusters.index[vertices], kind="stable")
         vertices = vertices[order]
         mixed = decorrelated(vectors[order])
-        scale = np.ones(1) if self._weights is None else self._weights[degrees(self.bandlimit)]
         figures = np.zeros((vertices.size, 3), dtype=np.float32)
         figures[:, 0] = blocked[order]
-        figures[:, 1] = np.sum((mixed * scale) ** 2, axis=(1, 2))
+        figures[:, 1] = self._squares(mixed)
+        if self.pilot is not None and self.pilot.mean is not None:
+            kinds = self.clusters.kinds[self.clusters.index[vertices]]
+            for kind in np.unique(kinds):
+                chosen = kinds == kind
+                mixed[chosen, 0] -= self.pilot.mean.vectors(self._normals[vertices[chosen]], int(kind))
+        rest = self._squares(mixed)
         caps, starts = np.unique(self.clusters.index[vertices], return_index=True)
         pieces = []
-        for c, rows in zip(caps, np.split(np.arange(vertices.size), starts[1:]), strict=True):
-            rest, basis = mixed[rows], self.bases[c]
-            if self.pilot is not None and self.pilot.mean is not None:
-                rest = rest.copy()
-                rest[:, 0] -= self.pilot.mean.vectors(self._normals[vertices[rows]], int(self.clusters.kinds[c]))
-            pieces.append(basis.project(rest))
+        for c, begin, end in zip(caps, starts, [*starts[1:], vertices.size], strict=True):
+            basis, rows = self.bases[c], slice(begin, end)
+            piece = basis.project(mixed[rows])
             if basis.mean is not None:
-                rest = rest - basis.mean
-            whole = np.sum((rest * scale) ** 2, axis=(1, 2), dtype=np.float64)
-            kept = np.sum(pieces[-1].astype(np.float64) ** 2, axis=1)
-            figures[rows, 2] = np.maximum(whole - kept, 0.0)
-        flat = np.concatenate([np.zeros(0, dtype=np.float32), *(piece.ravel() for piece in pieces)])
-        return Block(vertices.astype(np.int32), figures, flat, rays)
+                rest[rows] = self._squares(mixed[rows] - basis.mean)
+            rest[rows] -= np.einsum("nk,nk->n", piece, piece)
+            pieces.append(piece.ravel())
+        figures[:, 2] = np.maximum(rest, 0.0)
+        return Block(vertices.astype(np.int32), figures, np.concatenate(pieces), rays)
+
+    def _squares(self, vectors: NDArray) -> NDArray[np.float32]:
+        """(n,) squared norms of (n, channels, (L+1)²) vectors, weighted by the light prior."""
+        if self._weights is not None:
+            vectors = vectors * self._weights[degrees(self.bandlimit)].astype(np.float32)
+        return np.einsum("ncm,ncm->n", vectors, vectors)
 
     # --- Cap after cap ---
 

@@ -83,9 +83,9 @@ def scatter_radial(radial: NDArray, orders: NDArray) -> NDArray[np.float64]:
     bandlimit = radial.shape[1] - 1
     l = np.arange(bandlimit + 1)
     dense = np.zeros((radial.shape[0], num_coefficients(bandlimit)))
-    for i, m in enumerate(orders):
-        valid = l >= abs(m)
-        dense[i, (l * l + l + m)[valid]] = radial[i, valid]
+    signed = np.asarray(orders, dtype=np.int64)[:, None]
+    row, degree = np.nonzero(l >= np.abs(signed))
+    dense[row, (l * l + l + signed)[row, degree]] = radial[row, degree]
     return dense
 
 

@@ -30,7 +30,7 @@ from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.directions import QUARTERS, SMALLEST_NET, Net, direction_net
 
 # Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
-_RAYS_PER_BLOCK = 1 << 21
+_RAYS_PER_BLOCK = 1 << 20
 
 # Vertices without shadows in a block.
 _UNOCCLUDED_PER_BLOCK = 8192
@@ -46,7 +46,7 @@ _MEAN = np.float32(math.sqrt(4.0 * math.pi))
 _BLOCKS_WAITING = 3
 
 Progress = Callable[[int], None]
-Deliver = Callable[[int, NDArray, NDArray, NDArray], None]
+Deliver = Callable[[int, NDArray, NDArray, NDArray, int], None]
 Found = TypeVar("Found")
 
 
@@ -135,7 +135,7 @@ class DirectTransfer:
         starts = range(0, vertices.size, self._block)
         places = {begin: slice(begin, begin + self._block) for begin in starts}
 
-        def deliver(number: int, _: NDArray, found: NDArray, parts: NDArray) -> None:
+        def deliver(number: int, _: NDArray, found: NDArray, parts: NDArray, _rays: int) -> None:
             place = places[number * self._block]
             vectors[place], blocked[place] = found, parts
 
@@ -149,17 +149,19 @@ class DirectTransfer:
         ----------
         blocks : sequence of vertex indices
         deliver : callable
-            Given (number of the block, its vertices, their transfer vectors, the blocked part of each hemisphere), in
-            order, in another thread.
+            Given (number of the block, its vertices, their transfer vectors, the blocked part of each hemisphere, rays
+            traced), in order, in another thread.
         advance : callable
             Told the number of vertices finished since its last call.
         """
 
-        def look(vertices: NDArray) -> Seen | None:
-            traced = vertices[self._traced[vertices]]
-            return self._tracer.look(traced) if self._tracer is not None and traced.size else None
+        def look(vertices: NDArray) -> tuple[Seen | None, int]:
+            before, traced = self.rays, vertices[self._traced[vertices]]
+            seen = self._tracer.look(traced) if self._tracer is not None and traced.size else None
+            return seen, self.rays - before
 
-        def project(number: int, vertices: NDArray, seen: Seen | None) -> None:
+        def project(number: int, vertices: NDArray, found: tuple[Seen | None, int]) -> None:
+            seen, rays = found
             vectors = unoccluded_transfer(self.bandlimit, self._scene.mesh.normals[vertices])
             blocked = np.zeros(vertices.size, dtype=np.float32)
             if self._tracer is not None and seen is not None:
@@ -168,7 +170,7 @@ class DirectTransfer:
                 vectors[traced] -= lost
                 vectors[traced[closed]] = 0.0  # exactly, where nothing is seen but surfaces
                 blocked[traced] = np.where(closed, 1.0, lost[:, 0] * _MEAN)
-            deliver(number, vertices, vectors, blocked)
+            deliver(number, vertices, vectors, blocked, rays)
 
         in_blocks(blocks, look, project, advance)
 
@@ -193,7 +195,7 @@ def shadowed_transfer(
     vectors = np.empty((len(scene.mesh.positions), num_coefficients(bandlimit)), dtype=np.float32)
     blocked = np.empty(len(vectors), dtype=np.float32)
 
-    def deliver(_: int, chosen: NDArray, found: NDArray, parts: NDArray) -> None:
+    def deliver(_: int, chosen: NDArray, found: NDArray, parts: NDArray, _rays: int) -> None:
         vectors[chosen], blocked[chosen] = found, parts
 
     source.run(source.blocks, deliver, advance)
