@@ -13,11 +13,13 @@ from scipy.spatial.transform import Rotation
 import slepian_prt as sp
 from slepian_prt.compression.baselines import haar_transfer
 from slepian_prt.compression.clusters import cluster_axes
+from slepian_prt.scene.environments import emitted_environment
+from slepian_prt.scene.variants import mitsuba
 
 MESHES = ("skull", "nefertiti")
 MAPS = ("studio", "courtyard", "interior", "sunrise")
 BANDLIMIT, CAPS, ROTATIONS = 10, 96, 8
-SKY = Path(__file__).parents[2] / "scenes" / "sky.exr"
+SKY = {"type": "sunsky", "sun_scale": 0.0, "sun_direction": [0.75, 0.75, 0.55]}
 
 
 def compression() -> None:
@@ -29,11 +31,18 @@ def compression() -> None:
     maps = [sp.project_environment(data / "environments" / f"{name}.exr", bandlimit=BANDLIMIT) for name in MAPS]
     turns = Rotation.random(ROTATIONS, random_state=1).as_matrix()
     lights = np.array([[sp.rotate_sh(light, turn) for turn in turns] for light in maps])
-    sky = np.array([[sp.rotate_sh(sp.project_environment(SKY, bandlimit=BANDLIMIT), turn) for turn in turns]])
+    clear = sp.project_environment(_clear_sky(), bandlimit=BANDLIMIT)
+    sky = np.array([[sp.rotate_sh(clear, turn) for turn in turns]])
     for name in MESHES:
         transfer = sp.precompute(data / "meshes" / f"{name}.ply", bandlimit=BANDLIMIT)
         _mesh(name, transfer, maps, lights, sky)
         _second_stage(name, data / "meshes" / f"{name}.ply")
+
+
+def _clear_sky() -> sp.Environment:
+    """Mitsuba's sky without its sun."""
+    with mitsuba() as mi:
+        return emitted_environment(mi, mi.load_dict(SKY), "sky")
 
 
 class Relit:

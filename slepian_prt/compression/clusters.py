@@ -167,7 +167,7 @@ def cluster_by_occlusion(axes: NDArray, openness: NDArray, classes: int, count: 
         Unblocked part of the hemisphere.
     classes : int >= 1
     count : int
-        Clusters of all classes together.
+        Clusters of each class.
     """
     lit = np.flatnonzero(np.any(axes != 0.0, axis=1))
     edges = np.unique(np.quantile(openness[lit], np.linspace(0.0, 1.0, classes + 1)[1:-1]))
@@ -178,7 +178,7 @@ def cluster_by_occlusion(axes: NDArray, openness: NDArray, classes: int, count: 
     kinds: list[int] = []
     for kind in range(found.size):
         chosen = lit[kind_of == kind]
-        part = cluster_axes(axes[chosen], max(1, round(count * chosen.size / lit.size)))
+        part = cluster_axes(axes[chosen], count)
         index[chosen] = part.index + len(caps)
         caps += part.caps
         kinds += [kind] * len(part.caps)

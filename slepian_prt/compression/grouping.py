@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,19 @@ from slepian_prt.transport.transfer import Ready, Transfer
 from slepian_prt.transport.visibility import DirectTransfer
 
 
-def grouped(settings: Settings, transfer: Transfer) -> Clusters:
+class Grouping(NamedTuple):
+    """Attributes
+    ----------
+    clusters : Clusters
+    axes : (V, 3)
+        What was grouped, and the axes of the vertices' own frames.
+    """
+
+    clusters: Clusters
+    axes: NDArray[np.float64]
+
+
+def grouped(settings: Settings, transfer: Transfer) -> Grouping:
     """Clusters as asked, from vectors that are there."""
     first = transfer.vectors.mean(axis=1)
     open_part = first[:, 0] * np.float32(math.sqrt(4.0 * math.pi))
@@ -26,7 +39,7 @@ def grouped(settings: Settings, transfer: Transfer) -> Clusters:
     return _cluster(settings, transfer.mesh, axes, open_part)
 
 
-def surveyed(settings: Settings, ready: Ready) -> Clusters:
+def surveyed(settings: Settings, ready: Ready) -> Grouping:
     """Clusters as asked, before transfer is there: after a quick look around if that takes one."""
     mesh = ready.scene.mesh
     axes, openness = mesh.normals, np.ones(len(mesh.positions), dtype=np.float32)
@@ -55,13 +68,14 @@ def bent_normals(vectors: NDArray, normals: NDArray) -> NDArray[np.float64]:
     )
 
 
-def _cluster(settings: Settings, mesh: Mesh, axes: NDArray, openness: NDArray) -> Clusters:
-    if settings.basis == "none":
-        return cluster_axes(axes, 1)
+def _cluster(settings: Settings, mesh: Mesh, axes: NDArray, openness: NDArray) -> Grouping:
     if settings.group_by == "surface":
-        return cluster_surface(mesh, axes, settings.clusters)
-    if settings.occlusion_classes > 1:
-        return cluster_by_occlusion(axes, openness, settings.occlusion_classes, settings.clusters)
-    clusters = cluster_axes(axes, settings.clusters)
-    # Files hold normals, not other axes, from which the index could be told.
-    return clusters if axes is mesh.normals else replace(clusters, sites=None)
+        clusters = cluster_surface(mesh, axes, settings.clusters)
+    elif settings.occlusion_classes > 1:
+        clusters = cluster_by_occlusion(axes, openness, settings.occlusion_classes, settings.clusters)
+    else:
+        clusters = cluster_axes(axes, 1 if settings.basis == "none" else settings.clusters)
+        if axes is not mesh.normals:
+            # Files hold normals, not other axes, from which the index could be told.
+            clusters = replace(clusters, sites=None)
+    return Grouping(clusters, axes)

@@ -86,35 +86,41 @@ def pilot_vertices(clusters: Clusters, axes: NDArray, seed: int) -> NDArray[np.i
     return np.concatenate(chosen)
 
 
-def learn(clusters: Clusters, axes: NDArray, vertices: NDArray, vectors: NDArray, *, centred: bool) -> Pilot:
+def learn(
+    clusters: Clusters, axes: NDArray, vertices: NDArray, vectors: NDArray, normals: NDArray | None = None
+) -> Pilot:
     """What bases are made from.
 
     Parameters
     ----------
     clusters : Clusters
     axes : (V, 3)
+        Of the vertices' own frames.
     vertices : (n,) of `pilot_vertices`
     vectors : (n, channels, (L+1)²)
         Their transfer, channels decorrelated.
-    centred : bool
-        Whether the mean transfer is taken off, because the decoder can add it again.
+    normals : (V, 3), optional
+        If given, the mean transfer about them is taken off first, because the decoder can add it again.
     """
     bandlimit = round(np.sqrt(vectors.shape[2])) - 1
-    degree = degrees(bandlimit)
     kinds = clusters.kinds[clusters.index[vertices]]
     moments, energies, zonal = [], [], []
     for kind in range(int(clusters.kinds.max()) + 1):
-        chosen = kinds == kind
-        to_local = np.swapaxes(rotation_to(axes[vertices[chosen]]), -1, -2)
-        local = rotate_sh(vectors[chosen].astype(np.float64), to_local[:, None])
-        squares = (local.reshape(-1, local.shape[2]) ** 2).mean(axis=0)
-        energies.append(np.bincount(degree, squares, minlength=bandlimit + 1))
-        # A zonal kernel t_l has the coefficients t_l √((2l+1)/4π) on the axis.
-        at_pole = np.sqrt((2.0 * np.arange(bandlimit + 1) + 1.0) / (4.0 * np.pi))
-        on_axis = np.arange(bandlimit + 1) * (np.arange(bandlimit + 1) + 1)
-        mean = (local[:, 0, on_axis].mean(axis=0) / at_pole).astype(np.float32)
-        zonal.append(mean)
-        if centred:
-            local[:, 0, on_axis] -= mean.astype(np.float64) * at_pole
-        moments.append(measured_moment(local.reshape(-1, local.shape[2])))
-    return Pilot(tuple(moments), np.array(energies), MeanTransfer(np.array(zonal)) if centred else None)
+        chosen = vertices[kinds == kind]
+        seen = vectors[kinds == kind].astype(np.float64)
+        squares = (seen.reshape(-1, seen.shape[2]) ** 2).mean(axis=0)
+        energies.append(np.bincount(degrees(bandlimit), squares, minlength=bandlimit + 1))
+        if normals is not None:
+            zonal.append(_zonal_mean(bandlimit, seen[:, 0], normals[chosen]))
+            seen[:, 0] -= MeanTransfer(zonal[-1][None]).vectors(normals[chosen], 0)
+        to_local = np.swapaxes(rotation_to(axes[chosen]), -1, -2)
+        moments.append(measured_moment(rotate_sh(seen, to_local[:, None]).reshape(-1, seen.shape[2])))
+    mean = MeanTransfer(np.array(zonal)) if normals is not None else None
+    return Pilot(tuple(moments), np.array(energies), mean)
+
+
+def _zonal_mean(bandlimit: int, vectors: NDArray, normals: NDArray) -> NDArray[np.float32]:
+    """(L+1,) kernel t_l whose copies about the normals, t_l y_lm(n), are nearest to vectors (n, (L+1)²)."""
+    along = vectors * real_sh(bandlimit, normals)
+    sums = np.bincount(degrees(bandlimit), along.mean(axis=0), minlength=bandlimit + 1)
+    return np.asarray(sums * 4.0 * np.pi / (2.0 * np.arange(bandlimit + 1) + 1.0), dtype=np.float32)

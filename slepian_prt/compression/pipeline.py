@@ -20,9 +20,9 @@ import slepian_prt
 from slepian_prt.compression.baselines import iterate_clusters, pca_candidates
 from slepian_prt.compression.clusters import Clusters
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.grouping import grouped, surveyed
+from slepian_prt.compression.grouping import Grouping, grouped, surveyed
 from slepian_prt.compression.settings import Settings
-from slepian_prt.compression.store import Block, MemoryStore, Store, journal
+from slepian_prt.compression.store import Block, Journal, MemoryStore, Store, journal
 from slepian_prt.compression.work import Work
 from slepian_prt.scene.environments import project_environment
 from slepian_prt.scene.meshes import Mesh
@@ -73,20 +73,25 @@ def compress(
     settings = Settings(basis=basis, **options)
     settings.check(transfer.bandlimit)
     started = time.perf_counter()
-    given = clusters if isinstance(clusters, Clusters) else grouped(settings, transfer)
+    grouping = Grouping(clusters, transfer.axes) if isinstance(clusters, Clusters) else grouped(settings, transfer)
     if settings.basis == "cpca":
         terms = settings.terms or _USUAL_TERMS
-        given = iterate_clusters(given, transfer.axes, transfer.vectors, terms, tell)
-    work = Work(settings, transfer.mesh, transfer.axes, given, transfer.bandlimit, transfer.seed)
+        iterated = iterate_clusters(grouping.clusters, transfer.axes, transfer.vectors, terms, tell)
+        grouping = Grouping(iterated, transfer.axes)
+    work = Work(settings, transfer.mesh, grouping, transfer.bandlimit, transfer.seed, toward_view=transfer.toward_view)
     if settings.needs_all_vectors:
-        work.use(pca_candidates(transfer.bandlimit, given, transfer.vectors), transfer.vectors.shape[1])
+        candidates = pca_candidates(transfer.bandlimit, grouping.clusters, transfer.vectors)
+        work.use(candidates, transfer.vectors.shape[1])
     else:
         tell(f"basis {basis}")
         work.learn(lambda vertices: transfer.vectors[vertices])
-    store = MemoryStore()
-    for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
-        vertices = np.arange(begin, min(begin + _BLOCK, len(transfer.vectors)))
-        store.add(number, work.block(vertices, transfer.vectors[vertices], np.zeros(vertices.size), 0))
+    while True:
+        store = MemoryStore()
+        for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
+            vertices = np.arange(begin, min(begin + _BLOCK, len(transfer.vectors)))
+            store.add(number, work.block(vertices, transfer.vectors[vertices], np.zeros(vertices.size), 0))
+        if not work.widened(store, {}):
+            break
     tell("coding")
     result = work.finish(store, {})
     own = transfer.environment
@@ -95,7 +100,7 @@ def compress(
         mesh=transfer.mesh,
         parts=transfer.parts,
         bandlimit=transfer.bandlimit,
-        clusters=given,
+        clusters=grouping.clusters,
         effects=transfer.effects,
         bounces=transfer.bounces,
         samples=transfer.samples,
@@ -147,30 +152,23 @@ def precompute_compressed(
 
 def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], None], tell: Tell) -> CompressedTransfer:
     job, mesh = ready.job, ready.scene.mesh
-    bandlimit, count = int(job.bandlimit), len(mesh.positions)
+    bandlimit = int(job.bandlimit)
     source = ready.direct()
-    clusters = surveyed(settings, ready)
-    work = Work(settings, mesh, mesh.normals, clusters, bandlimit, job.seed)
+    grouping = surveyed(settings, ready)
+    work = Work(settings, mesh, grouping, bandlimit, job.seed)
     work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
     of_pilot = source.rays
-    with journal(_fingerprint(ready, work)) as store:
-        blocks = source.blocks
-        done = {number for number, _ in store}
-        if done:
-            kept = sum(blocks[number].size for number in done)
-            log.info("%d of %d blocks were finished before and are kept", len(done), len(blocks))
-            advance(kept, count)
-        left = [number for number in range(len(blocks)) if number not in done]
-
-        def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> None:
-            store.add(left[place], work.block(vertices, vectors[:, None, :], blocked, rays))
-
-        source.run([blocks[number] for number in left], deliver, lambda n: advance(n, count))
-        ready.clock.stop("transport")
-        tell("coding")
-        overrides = _borrowed(ready, source, work, store)
-        rays = of_pilot + sum(block.rays for _, block in store)
-        result = work.finish(store, overrides)
+    while True:
+        with journal(_fingerprint(ready, work)) as store:
+            _trace(ready, source, work, store, advance)
+            overrides = _borrowed(ready, source, work, store)
+            if not work.widened(store, overrides):
+                ready.clock.stop("transport")
+                tell("coding")
+                rays = of_pilot + sum(block.rays for _, block in store)
+                result = work.finish(store, overrides)
+                break
+        log.info("the pilot foresaw too little error; once more with %d functions of each cap", work.bases[0].count)
     ready.clock.stop("compress")
     own = ready.scene.environment
     return CompressedTransfer(
@@ -178,7 +176,7 @@ def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], No
         mesh=mesh,
         parts=ready.scene.parts,
         bandlimit=bandlimit,
-        clusters=clusters,
+        clusters=grouping.clusters,
         effects=ready.plan.effects,
         bounces=0,
         samples=int(job.samples),
@@ -189,6 +187,23 @@ def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], No
         lighting=None if own is None else project_environment(own, bandlimit),
         view=ready.scene.view,
     )
+
+
+def _trace(
+    ready: Ready, source: DirectTransfer, work: Work, store: Journal, advance: Callable[[int, int], None]
+) -> None:
+    """Trace and project all blocks that are not in the journal already."""
+    blocks, count = source.blocks, len(ready.scene.mesh.positions)
+    done = {number for number, _ in store}
+    left = [number for number in range(len(blocks)) if number not in done]
+    if done:
+        log.info("%d of %d blocks were finished before and are kept", len(done), len(blocks))
+        advance(sum(blocks[number].size for number in done), count)
+
+    def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> None:
+        store.add(left[place], work.block(vertices, vectors[:, None, :], blocked, rays))
+
+    source.run([blocks[number] for number in left], deliver, lambda n: advance(n, count))
 
 
 def _borrowed(ready: Ready, source: DirectTransfer, work: Work, store: Store) -> dict[int, Block]:

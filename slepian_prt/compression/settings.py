@@ -120,6 +120,10 @@ class Settings:
         _check_whole(self.occlusion_classes, "occlusion_classes", LARGEST_CLASSES)
         if self.group_by not in GROUPINGS:
             raise UserError(f"group_by must be one of {', '.join(GROUPINGS)}, not {self.group_by!r}")
+        if self.group_by == "bent" and bandlimit < 1:
+            raise UserError(
+                "bent normals are the first degree of transfer; use bandlimit 1 or more, or group by normal"
+            )
         if self.group_by == "surface" and self.occlusion_classes > 1:
             raise UserError("occlusion_classes divide caps of axes; leave them out, or group by normal or bent")
         if self.codes not in CODINGS:

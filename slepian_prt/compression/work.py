@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from slepian_prt.compression import codec, truncation
 from slepian_prt.compression.bases import Candidate, LinearBasis, Problem, candidates
 from slepian_prt.compression.caps import Caps
-from slepian_prt.compression.clusters import Clusters
 from slepian_prt.compression.compressed import Coded, frames_of
+from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.pilot import Pilot, decorrelated, learn, pilot_vertices
 from slepian_prt.compression.prediction import Expectation, by_degree
 from slepian_prt.compression.refinement import refine
@@ -31,6 +31,7 @@ _FINEST_ROUNDING = 1e-3
 
 # Functions that are coded may leave out this part of the squared tolerance, by prediction; rounding gets the rest.
 _LEFT_OUT = 0.1
+_LEFT_OUT_AT_MOST = 0.6
 # A second stage needs more functions to choose from: the first may leave out this part of the squared error that it
 # would have with the number of functions asked for.
 _LEFT_OUT_BEFORE_REFINING = 0.02
@@ -59,10 +60,20 @@ class Work:
     channels: int
 
     def __init__(
-        self, settings: Settings, mesh: Mesh, axes: NDArray, clusters: Clusters, bandlimit: int, seed: int
+        self,
+        settings: Settings,
+        mesh: Mesh,
+        grouping: Grouping,
+        bandlimit: int,
+        seed: int,
+        *,
+        toward_view: bool = False,
     ) -> None:
-        self.settings, self.mesh, self.clusters, self.bandlimit, self._seed = settings, mesh, clusters, bandlimit, seed
-        self._axes = axes.astype(np.float32).astype(np.float64)  # as the file has normals
+        self.settings, self.mesh, self.bandlimit, self._seed = settings, mesh, bandlimit, seed
+        self.clusters = grouping.clusters
+        self._toward_view = toward_view
+        self._axes = grouping.axes
+        self._factor = 1
         self.pilot: Pilot | None = None
         self._found: list[Candidate] = []
         prior = settings.light_prior
@@ -82,9 +93,9 @@ class Work:
         """Make the bases from a pilot; ``vectors_of`` gives (n, channels, (L+1)²) for vertices."""
         vertices = pilot_vertices(self.clusters, self._axes, self._seed)
         vectors = decorrelated(vectors_of(vertices))
-        # The decoder can add what normals tell only if the frames are those of normals.
-        centred = self._codes and not np.any(self._axes - self._normals)
-        pilot = learn(self.clusters, self._axes, vertices, vectors, centred=centred)
+        # The decoder knows the normals; toward a view they tell little.
+        told = self._normals if self._codes and not self._toward_view else None
+        pilot = learn(self.clusters, self._axes, vertices, vectors, told)
         self.pilot = pilot
         frames = self.clusters
         if self._codes or self.settings.refine:
@@ -118,7 +129,7 @@ class Work:
         # The same functions for all caps: as many as any of them would want.
         missing = math.sqrt(_LEFT_OUT) * settings.asked * self._scale_of_candidates()
         counts = truncation.by_tolerance(found, sizes, min(missing, 1e6))
-        return np.minimum(counts.max(), [c.energies.size for c in found])
+        return np.minimum(self._factor * counts.max(), [c.energies.size for c in found])
 
     def _by_rule(self, found: list[Candidate]) -> NDArray[np.int64]:
         """How many functions the rule that was asked for keeps."""
@@ -177,10 +188,27 @@ class Work:
 
     # --- Cap after cap ---
 
+    def widened(self, store: Store, overrides: dict[int, Block]) -> bool:
+        """Whether the bases miss more than the tolerance allows, in which case they are now twice as large.
+
+        The pilot may have seen too little of what there is.
+        """
+        total, missed = self._caps(store, overrides).energies()
+        most = max(found.energies.size for found in self._found)
+        enough = missed <= _LEFT_OUT_AT_MOST * self.settings.asked**2 * total
+        if self.settings.by_number or not self._codes or enough or self.bases[0].count >= most:
+            return False
+        self._factor *= 2
+        self.use(self._found, self.channels)
+        return True
+
+    def _caps(self, store: Store, overrides: dict[int, Block]) -> Caps:
+        widths = np.array([basis.count * self.channels for basis in self.bases], dtype=np.int64)
+        return Caps(self.mesh, self.clusters, widths, store, overrides)
+
     def finish(self, store: Store, overrides: dict[int, Block]) -> dict[str, Any]:
         """What the result holds of coefficients, bases and expected error."""
-        widths = np.array([basis.count * self.channels for basis in self.bases], dtype=np.int64)
-        caps = Caps(self.mesh, self.clusters, widths, store, overrides)
+        caps = self._caps(store, overrides)
         common = {"basis": self.settings.basis, "channels": self.channels, "prior": ""}
         if self.settings.light_prior is not None:
             common["prior"] = self.settings.light_prior.name

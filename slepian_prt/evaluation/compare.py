@@ -189,7 +189,7 @@ def compare(
         if transfer.environment is None:
             raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
         environments = [transfer.environment]
-    clusters = grouped(grouping, transfer)
+    clusters = grouped(grouping, transfer).clusters
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]
     with open_scene(scene, albedo=job.albedo, view=job.view) as (mi, opened):

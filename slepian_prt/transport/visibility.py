@@ -32,7 +32,11 @@ from slepian_prt.transport.directions import QUARTERS, SMALLEST_NET, Net, direct
 # Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
 _RAYS_PER_BLOCK = 1 << 20
 
-# Vertices without shadows in a block.
+# Products of normals and corners of the hull at a time.
+_PRODUCTS = 1 << 22
+
+# Numbers in the transfer vectors of a block, and vertices if they have no shadows.
+_NUMBERS_PER_BLOCK = 1 << 22
 _UNOCCLUDED_PER_BLOCK = 8192
 
 # Open directions of a vertex that are few enough to be leaks, and how far beside them to look again, in radians.
@@ -70,8 +74,9 @@ def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
     positions, normals = scene.traced_positions, scene.mesh.normals
     corners = _hull_corners(scene)
     heights = np.empty(len(positions))
-    for begin in range(0, len(positions), 4096):
-        block = slice(begin, begin + 4096)
+    size = max(1, _PRODUCTS // len(corners))
+    for begin in range(0, len(positions), size):
+        block = slice(begin, begin + size)
         reach = (normals[block] @ corners.T).max(axis=1)
         heights[block] = reach - np.einsum("ij,ij->i", normals[block], positions[block])
     # A vertex normal of a convex mesh is the mean over its faces; half the ray offset is far below what a ray sees.
@@ -112,7 +117,7 @@ class DirectTransfer:
         self._scene = scene
         self._traced = np.zeros(len(scene.mesh.positions), dtype=bool)
         self._traced[shadowed] = True
-        self._block = max(1, _RAYS_PER_BLOCK // nodes)
+        self._block = max(1, min(_RAYS_PER_BLOCK // nodes, _NUMBERS_PER_BLOCK // num_coefficients(bandlimit)))
         self._tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(nodes), seed) if shadowed.size else None
 
     @property

@@ -28,7 +28,7 @@ def error(packed, transfer) -> float:
 def problem_of(transfer, count: int) -> Problem:
     clusters = cluster_axes(transfer.normals, count)
     vertices = pilot_vertices(clusters, transfer.normals, 0)
-    pilot = learn(clusters, transfer.normals, vertices, transfer.vectors[vertices], centred=False)
+    pilot = learn(clusters, transfer.normals, vertices, transfer.vectors[vertices])
     return Problem(transfer.bandlimit, clusters, pilot)
 
 
