@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,10 @@ from slepian_prt.compression.clusters import Clusters
 from slepian_prt.compression.store import Block, Store
 from slepian_prt.compression.surface import CapSurface, Surface
 from slepian_prt.scene.meshes import Mesh
+
+
+# Surfaces take some 300 bytes per vertex; those of larger meshes are made each time they are needed.
+_REMEMBERED = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +39,7 @@ class Caps:
     widths: NDArray[np.int64]
     store: Store
     overrides: dict[int, Block]
+    _remembered: dict[int, CapSurface] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def _starts(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]:
@@ -90,5 +95,7 @@ class Caps:
     def along(self, c: int) -> tuple[NDArray[np.float32], CapSurface]:
         """(n, K channels) coefficients of a cap in the order of coding, with its surface."""
         members = self.clusters.members[c]
-        surface = self._surface.cap(members)
+        surface = self._remembered.get(c) or self._surface.cap(members)
+        if len(self.mesh.positions) <= _REMEMBERED:
+            self._remembered[c] = surface
         return self.members(c)[np.searchsorted(members, surface.order)], surface

@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 _BLOCK = 1 << 14
 
 # Terms that clusters of PCA are iterated for when their number is not given.
-_USUAL_TERMS = 16
+USUAL_TERMS = 16
 
 Tell = Callable[[str], None]
 
@@ -75,7 +75,7 @@ def compress(
     started = time.perf_counter()
     grouping = Grouping(clusters, transfer.axes) if isinstance(clusters, Clusters) else grouped(settings, transfer)
     if settings.basis == "cpca":
-        terms = settings.terms or _USUAL_TERMS
+        terms = settings.terms or USUAL_TERMS
         iterated = iterate_clusters(grouping.clusters, transfer.axes, transfer.vectors, terms, tell)
         grouping = Grouping(iterated, transfer.axes)
     work = Work(settings, transfer.mesh, grouping, transfer.bandlimit, transfer.seed, toward_view=transfer.toward_view)

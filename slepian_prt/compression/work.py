@@ -304,9 +304,10 @@ class Work:
         del samples
         best: tuple[codec.Tuning, list[codec.EncodedCap]] | None = None
         attempts = 0
+        encoded: list[codec.EncodedCap] = []
         while True:
             attempts += 1
-            encoded = [self._encode(caps, c, tuning) for c in range(len(self.bases))]
+            encoded = [self._encode(caps, c, tuning, encoded) for c in range(len(self.bases))]
             distortion = sum(cap.distortion for cap in encoded)
             if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
                 best = tuning, encoded
@@ -317,6 +318,8 @@ class Work:
             change = (0.5 * (1.0 + _CLOSE) * wanted / distortion) ** 0.65
             tuning = replace(tuning, step=max(tuning.step * min(max(change, 0.25), 4.0), finest))
 
-    def _encode(self, caps: Caps, c: int, tuning: codec.Tuning) -> codec.EncodedCap:
+    def _encode(self, caps: Caps, c: int, tuning: codec.Tuning, before: list[codec.EncodedCap]) -> codec.EncodedCap:
         turn = False if self.settings.needs_all_vectors else self.settings.refine
+        if before:  # a slightly different step does not change what pays
+            turn = before[c].turned
         return codec.encode_cap(*caps.along(c), tuning, turn=turn)
