@@ -10,18 +10,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.clusters import Clusters
 from slepian_prt.compression.pilot import Pilot
 from slepian_prt.compression.prediction import by_degree
 from slepian_prt.errors import UserError
 from slepian_prt.slepian.concentration import CapBasis, cap_basis, cap_moment_factors, moment_basis, scatter_radial
 from slepian_prt.slepian.kernels import cosine_lobe
-from slepian_prt.sphere.caps import Cap
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 
@@ -158,6 +156,26 @@ class Candidate:
     lost: Callable[[int], NDArray[np.float64]]
 
 
+class Frame(NamedTuple):
+    """Where a cap's functions stand.
+
+    Attributes
+    ----------
+    center : (3,)
+    half_angle : float
+        Of the smallest cap that holds its axes.
+    spread : float
+        Of the cap that, evenly filled, has axes as far from its centre on average.
+    kind : int
+        Which second moment is its own.
+    """
+
+    center: NDArray[np.float64]
+    half_angle: float
+    spread: float
+    kind: int
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What the builders of analytic bases may look at.
@@ -165,7 +183,8 @@ class Problem:
     Attributes
     ----------
     bandlimit : int
-    clusters : Clusters
+    frames : tuple of Frame
+        One per cap.
     pilot : Pilot
         Transfer of a few hundred vertices, for each kind of cluster.
     weights : (L+1,) or None
@@ -173,7 +192,7 @@ class Problem:
     """
 
     bandlimit: int
-    clusters: Clusters
+    frames: tuple[Frame, ...]
     pilot: Pilot
     weights: NDArray[np.float64] | None = None
     _solved: dict[tuple[Any, ...], Any] = field(default_factory=dict, init=False, repr=False)
@@ -260,54 +279,54 @@ def shared_half_angle(half_angle: float) -> float:
 # --- The bases -------------------------------------------------------------------------------------------------------
 
 
-def _sh(problem: Problem, cap: Cap, kind: int) -> Candidate:
+def _sh(problem: Problem, frame: Frame) -> Candidate:
     """Spherical harmonics in the order of their index."""
-    in_cap_frame = rotate_sh(np.eye(num_coefficients(problem.bandlimit)), rotation_to(cap.center).T)
+    in_cap_frame = rotate_sh(np.eye(num_coefficients(problem.bandlimit)), rotation_to(frame.center).T)
 
     def cut(k: int) -> LinearBasis:
-        return LinearBasis(cap.center, problem.bandlimit, k, weights=problem.weights)
+        return LinearBasis(frame.center, problem.bandlimit, k, weights=problem.weights)
 
-    return _predicted(problem, cap, kind, in_cap_frame, cut, ("sh", tuple(cap.center)))
+    return _predicted(problem, frame, in_cap_frame, cut, ("sh", *frame.center))
 
 
-def _slepian(problem: Problem, cap: Cap, kind: int) -> Candidate:
+def _slepian(problem: Problem, frame: Frame) -> Candidate:
     """The paper's method: Slepian functions of the cap of normals, for exit radiance.
 
     B(n) ≈ Σ_{i<=K} b̄_i g_i(n) with b_lm = A_l e_lm (Lessig & Fiume, Eq. 8) is, for the transfer vector, the span of
     D_t g_i with D_t = diag(A_l). It is orthonormalised in the order of concentration, each order m by itself.
     Functions that the kernel maps into the span of earlier ones (it has no odd degree above 1) are left out.
     """
-    return _radial_candidate(problem, cap, kind, "slepian", *problem.exit_radiance(shared_half_angle(cap.half_angle)))
+    return _radial_candidate(problem, frame, "slepian", *problem.exit_radiance(shared_half_angle(frame.half_angle)))
 
 
-def _direct(problem: Problem, cap: Cap, kind: int) -> Candidate:
+def _direct(problem: Problem, frame: Frame) -> Candidate:
     """What not to do: transfer vectors projected on the Slepian functions of the cap of *normals* themselves.
 
     Transfer fills the hemisphere about the normal, not the cap.
     """
-    functions = problem.functions(shared_half_angle(cap.half_angle))
-    return _radial_candidate(problem, cap, kind, "direct", functions.radial, functions.orders)
+    functions = problem.functions(shared_half_angle(frame.half_angle))
+    return _radial_candidate(problem, frame, "direct", functions.radial, functions.orders)
 
 
-def _incident(problem: Problem, cap: Cap, kind: int) -> Candidate:
+def _incident(problem: Problem, frame: Frame) -> Candidate:
     """Slepian functions of the cap Θ + 90° that holds all transport of the cluster."""
-    functions = problem.functions(shared_half_angle(min(math.pi, cap.half_angle + math.pi / 2)))
-    return _radial_candidate(problem, cap, kind, "incident", functions.radial, functions.orders)
+    functions = problem.functions(shared_half_angle(min(math.pi, frame.half_angle + math.pi / 2)))
+    return _radial_candidate(problem, frame, "incident", functions.radial, functions.orders)
 
 
-def _transport(problem: Problem, cap: Cap, kind: int) -> Candidate:
+def _transport(problem: Problem, frame: Frame) -> Candidate:
     """Eigenvectors of unoccluded transport's second moment over the cap."""
-    functions = problem.functions(shared_half_angle(cap.half_angle), cosine_lobe(problem.bandlimit))
-    return _radial_candidate(problem, cap, kind, "transport", functions.radial, functions.orders)
+    functions = problem.functions(shared_half_angle(frame.half_angle), cosine_lobe(problem.bandlimit))
+    return _radial_candidate(problem, frame, "transport", functions.radial, functions.orders)
 
 
-def _adapted(problem: Problem, cap: Cap, kind: int) -> Candidate:
+def _adapted(problem: Problem, frame: Frame) -> Candidate:
     """Eigenvectors of the pilot's second moment over the cap: knows about shadows."""
-    functions = problem.adapted(kind, shared_half_angle(cap.half_angle))
-    return _radial_candidate(problem, cap, kind, "adapted", functions.radial, functions.orders)
+    functions = problem.adapted(frame.kind, shared_half_angle(frame.spread))
+    return _radial_candidate(problem, frame, "adapted", functions.radial, functions.orders)
 
 
-ANALYTIC: dict[str, Callable[[Problem, Cap, int], Candidate]] = {
+ANALYTIC: dict[str, Callable[[Problem, Frame], Candidate]] = {
     "adapted": _adapted,
     "transport": _transport,
     "slepian": _slepian,
@@ -327,14 +346,13 @@ def candidates(name: str, problem: Problem) -> list[Candidate]:
     """
     if name not in ANALYTIC:
         raise UserError(f"basis must be one of {', '.join(ANALYTIC)}, not {name!r}")
-    pairs = zip(problem.clusters.caps, problem.clusters.kinds.tolist(), strict=True)
-    return [ANALYTIC[name](problem, cap, kind) for cap, kind in pairs]
+    return [ANALYTIC[name](problem, frame) for frame in problem.frames]
 
 
-def _radial_candidate(problem: Problem, cap: Cap, kind: int, name: str, radial: NDArray, orders: NDArray) -> Candidate:
+def _radial_candidate(problem: Problem, frame: Frame, name: str, radial: NDArray, orders: NDArray) -> Candidate:
     def cut(k: int) -> LinearBasis:
         return LinearBasis(
-            cap.center,
+            frame.center,
             problem.bandlimit,
             min(k, len(orders)),
             orders=orders[:k].astype(np.int16),
@@ -343,15 +361,14 @@ def _radial_candidate(problem: Problem, cap: Cap, kind: int, name: str, radial: 
         )
 
     # Caps of one half-angle have the same functions and the same expectations.
-    key = (name, kind, shared_half_angle(cap.half_angle))
+    key = (name, frame.kind, shared_half_angle(frame.half_angle), shared_half_angle(frame.spread))
     in_cap_frame = problem._once(("in frame", *key), lambda: scatter_radial(radial, orders))
-    return _predicted(problem, cap, kind, in_cap_frame, cut, key)
+    return _predicted(problem, frame, in_cap_frame, cut, key)
 
 
 def _predicted(
     problem: Problem,
-    cap: Cap,
-    kind: int,
+    frame: Frame,
     in_cap_frame: NDArray,
     cut: Callable[[int], LinearBasis],
     key: tuple[Any, ...],
@@ -360,7 +377,7 @@ def _predicted(
 
     ``key`` tells which caps have the same functions.
     """
-    rows = problem.moment_rows(kind, shared_half_angle(cap.half_angle))
+    rows = problem.moment_rows(frame.kind, shared_half_angle(frame.spread))
     scale = problem.scale[degrees(problem.bandlimit)]
 
     def energies() -> NDArray[np.float64]:
@@ -372,7 +389,7 @@ def _predicted(
             missing = rows - (rows @ kept.T) @ kept
             return by_degree(np.sum((missing / scale) ** 2, axis=0))
 
-        return problem._once(("lost", kind, k, *key), solve)
+        return problem._once(("lost", k, *key), solve)
 
-    found = problem._once(("energies", kind, *key), energies)
+    found = problem._once(("energies", *key), energies)
     return Candidate(found, float(np.sum(rows**2)), cut, lost)

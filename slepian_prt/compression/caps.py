@@ -14,7 +14,6 @@ from slepian_prt.compression.store import Block, Store
 from slepian_prt.compression.surface import CapSurface, Surface
 from slepian_prt.scene.meshes import Mesh
 
-
 # Surfaces take some 300 bytes per vertex; those of larger meshes are made each time they are needed.
 _REMEMBERED = 1 << 17
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -59,6 +60,19 @@ class Clusters:
     def sizes(self) -> NDArray[np.int64]:
         """Number of vertices of each cluster."""
         return np.bincount(self.index, minlength=len(self.caps))
+
+
+def spread(center: NDArray, axes: NDArray) -> float:
+    """Half-angle of the evenly filled cap whose axes are as far from its centre, in the mean of 1 - cos θ.
+
+    Cells of k-means fill their caps less than evenly, and on the surface of things some directions are more common.
+    For an evenly filled cap that mean is sin²(Θ/2).
+    """
+    lit = np.any(axes != 0.0, axis=1)
+    if not lit.any():
+        return 0.0
+    away = 0.5 * float(np.mean(np.sum((axes[lit] - center) ** 2, axis=1)))  # 1 - cos θ, also of tiny angles
+    return 2.0 * math.asin(min(1.0, math.sqrt(away)))
 
 
 def cluster_axes(axes: NDArray, count: int) -> Clusters:

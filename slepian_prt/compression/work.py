@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression import codec, truncation
-from slepian_prt.compression.bases import Candidate, LinearBasis, Problem, candidates
+from slepian_prt.compression.bases import Candidate, Frame, LinearBasis, Problem, candidates
 from slepian_prt.compression.caps import Caps
+from slepian_prt.compression.clusters import spread
 from slepian_prt.compression.compressed import Coded, frames_of
 from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.pilot import Pilot, decorrelated, learn, pilot_vertices
@@ -22,7 +23,6 @@ from slepian_prt.compression.refinement import refine
 from slepian_prt.compression.settings import Settings
 from slepian_prt.compression.store import Block, Store
 from slepian_prt.scene.meshes import Mesh
-from slepian_prt.sphere.caps import Cap
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 
 # With a given number of functions, rounding may add this part to the squared error of leaving out the others.
@@ -34,7 +34,7 @@ _LEFT_OUT = 0.1
 _LEFT_OUT_AT_MOST = 0.6
 # A second stage needs more functions to choose from: the first may leave out this part of the squared error that it
 # would have with the number of functions asked for.
-_LEFT_OUT_BEFORE_REFINING = 0.02
+_LEFT_OUT_BEFORE_REFINING = 0.003
 
 # Below this tolerance functions are stored in float32.
 _FINE = 0.005
@@ -97,12 +97,21 @@ class Work:
         told = self._normals if self._codes and not self._toward_view else None
         pilot = learn(self.clusters, self._axes, vertices, vectors, told)
         self.pilot = pilot
-        frames = self.clusters
-        if self._codes or self.settings.refine:
+        problem = Problem(self.bandlimit, self._frames(), pilot, self._weights)
+        self.use(candidates(self._name, problem), vectors.shape[1])
+
+    def _frames(self) -> tuple[Frame, ...]:
+        """Where the functions of each cap stand."""
+        clusters = self.clusters
+        one_for_all = self._codes or self.settings.refine
+        centers = frames_of(clusters) if one_for_all else [cap.center for cap in clusters.caps]
+        spreads = [spread(c, self._axes[members]) for c, members in zip(centers, clusters.members, strict=True)]
+        half_angles = [cap.half_angle for cap in clusters.caps]
+        if one_for_all:
             # One set of functions for all caps: it is stored once, and what it does not fit costs little.
-            width = float(np.average([cap.half_angle for cap in frames.caps], weights=frames.sizes))
-            frames = replace(frames, caps=tuple(Cap(center, width) for center in frames_of(frames)))
-        self.use(candidates(self._name, Problem(self.bandlimit, frames, pilot, self._weights)), vectors.shape[1])
+            half_angles = [float(np.average(half_angles, weights=clusters.sizes))] * len(centers)
+            spreads = [float(np.average(spreads, weights=clusters.sizes))] * len(centers)
+        return tuple(map(Frame, centers, half_angles, spreads, clusters.kinds.tolist()))
 
     def use(self, found: list[Candidate], channels: int) -> None:
         """Cut candidates, one for each cap, to the bases that blocks are projected on."""

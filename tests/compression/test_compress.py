@@ -4,8 +4,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from slepian_prt.compression.bases import ANALYTIC, Problem, candidates, shared_half_angle
-from slepian_prt.compression.clusters import cluster_axes
+from slepian_prt.compression.bases import ANALYTIC, Frame, Problem, candidates, shared_half_angle
+from slepian_prt.compression.clusters import cluster_axes, spread
 from slepian_prt.compression.pilot import learn, pilot_vertices
 from slepian_prt.compression.pipeline import compress
 from slepian_prt.compression.settings import BASES
@@ -29,7 +29,11 @@ def problem_of(transfer, count: int) -> Problem:
     clusters = cluster_axes(transfer.normals, count)
     vertices = pilot_vertices(clusters, transfer.normals, 0)
     pilot = learn(clusters, transfer.normals, vertices, transfer.vectors[vertices])
-    return Problem(transfer.bandlimit, clusters, pilot)
+    frames = [
+        Frame(cap.center, cap.half_angle, spread(cap.center, transfer.normals[members]), 0)
+        for cap, members in zip(clusters.caps, clusters.members, strict=True)
+    ]
+    return Problem(transfer.bandlimit, tuple(frames), pilot)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +142,7 @@ def test_tolerance_is_kept(basis, tolerance, coding, shadowed):
 def test_tolerance_takes_the_fewest(shadowed):
     problem = problem_of(shadowed, 8)
     found = candidates("adapted", problem)
-    sizes = problem.clusters.sizes
+    sizes = cluster_axes(shadowed.normals, 8).sizes
     terms = by_tolerance(found, sizes, 0.1)
     assert predicted_error(found, terms, sizes) <= 0.1
     # The weakest functions that are kept (two of them, m and -m, may be tied) could not be left out.
