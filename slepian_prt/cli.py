@@ -215,17 +215,24 @@ def precompute(scene: str, output: str, light_prior: tuple[str, ...], **options:
     settings = Settings(**options, light_prior=read_prior(light_prior, job.bandlimit))
     settings.check(job.bandlimit)
     archive.check_writable(output, scene)
+    if output and Path(output).suffix.lower() != ".prt":
+        raise UserError(f"{output}: transfer files end in .prt; name the output so")
     with progress("transport", "vertices") as (advance, tell):
         packed = precompute_compressed(scene, settings, job, on_plan=print_plan, advance=advance, tell=tell)
     if job.bounces is not None and packed.bounces < job.bounces:
         note(f"--bounces {job.bounces} has no effect: no light between surfaces is simulated (see the plan)")
     packed.save(output)
+    error = settings.expected_error(packed.expected)
+    if not settings.by_number and error > 1.01 * settings.asked:
+        note(
+            f"a tolerance of {settings.asked:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}"
+        )
     seconds = packed.seconds
     under = f" under light of {packed.prior}" if packed.prior else ""
     click.echo(
         f"{output}: {len(packed.mesh.positions)} vertices, {packed.basis}, {packed.terms:.4g} functions of "
         f"{(job.bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.2f} bytes per vertex, "
-        f"predicted error {settings.expected_error(packed.expected):.2g}{under}; "
+        f"predicted error {error:.2g}{under}; "
         f"{packed.rays_traced} rays in {seconds['transport']:.1f} s, compressed in {seconds['compress']:.1f} s"
     )
 
@@ -261,6 +268,7 @@ def info(file: str, as_json: bool) -> None:
         "predicted_error": packed.predicted_error,
         "predicted_relit_error": packed.predicted_relit_error(),
         "light_prior": packed.prior or None,
+        "predicted_error_under_prior": packed.predicted_error_under_prior,
         "samples": packed.samples,
         "seed": packed.seed,
         "rays_traced": packed.rays_traced,
@@ -502,6 +510,8 @@ def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
 
     if not given:
         return None
+    if "" in given:
+        raise UserError(f"--light-prior is empty; give {FALLING} or a map")
     if FALLING in given:
         if len(given) > 1:
             raise UserError(f"--light-prior is either {FALLING} or maps, not both")

@@ -134,6 +134,8 @@ def check_writable(path: str | Path, *inputs: str | Path) -> None:
     folder = path.parent
     if path.is_dir():
         raise UserError(f"{path}: is a folder; name a file")
+    if path.exists() and not path.is_file():
+        raise UserError(f"{path}: is not a regular file; choose another name for the output")
     if not folder.is_dir():
         raise UserError(f"{path}: the folder {folder} does not exist; create it or choose another")
     if not os.access(folder, os.W_OK | os.X_OK):

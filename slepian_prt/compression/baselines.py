@@ -17,7 +17,7 @@ from slepian_prt.compression.bases import Candidate, LinearBasis
 from slepian_prt.compression.clusters import Clusters, enclosed
 from slepian_prt.compression.pilot import decorrelated
 from slepian_prt.compression.prediction import by_degree
-from slepian_prt.sphere.harmonics import num_coefficients, real_sh
+from slepian_prt.sphere.harmonics import real_sh
 
 _ITERATIONS = 12
 _SETTLED = 1e-3
@@ -40,7 +40,6 @@ def pca_candidates(bandlimit: int, clusters: Clusters, vectors: NDArray) -> list
 
 
 def _pca(bandlimit: int, center: NDArray, vectors: NDArray) -> Candidate:
-    size = num_coefficients(bandlimit)
     mean, components, variances = principal(vectors)
     of_mean = float(np.mean(np.sum(mean * mean, axis=1)))
 
@@ -53,7 +52,7 @@ def _pca(bandlimit: int, center: NDArray, vectors: NDArray) -> Candidate:
         rest = variances[max(k - 1, 0) :] @ components[max(k - 1, 0) :] ** 2
         return by_degree(rest if k > 0 else rest + np.mean(mean * mean, axis=0))
 
-    return Candidate(np.concatenate([[of_mean], variances])[:size], of_mean + float(variances.sum()), cut, lost)
+    return Candidate(np.concatenate([[of_mean], variances]), of_mean + float(variances.sum()), cut, lost)
 
 
 def principal(vectors: NDArray) -> tuple[NDArray, NDArray, NDArray]:

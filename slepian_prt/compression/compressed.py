@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import slepian_prt
 from slepian_prt.compression import archive, codec
 from slepian_prt.compression.bases import LinearBasis, shared_half_angle
-from slepian_prt.compression.clusters import Clusters, clusters_of_sites
+from slepian_prt.compression.clusters import Clusters, clusters_of_sites, enclosed
 from slepian_prt.compression.light_prior import falling_prior, light_power
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer, channel_mixing
@@ -31,7 +31,7 @@ from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.effects import Effect
 
 # The mean transfer of a cap is held by as many functions as leave out less than this part of it.
-_MEAN_LEFT_OUT = 1e-4
+_MEAN_LEFT_OUT = 1e-5
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,12 @@ class CompressedTransfer:
         """Expected relative RMS error of the transfer vectors, or of radiance under white light."""
         return self.expected.relative()
 
+    @property
+    def predicted_error_under_prior(self) -> float | None:
+        """The same under light of the prior, which is what a tolerance is about; None without one."""
+        weights = self.bases[0].weights
+        return None if weights is None else self.expected.relative(weights**2)
+
     def predicted_relit_error(self, lighting: NDArray | None = None) -> float:
         """Expected relative RMS error of radiance, averaged over the rotations of the light.
 
@@ -212,16 +218,18 @@ class CompressedTransfer:
 
     @cached_property
     def _means(self) -> list[tuple[NDArray[np.float64], NDArray[np.float32]]]:
-        """The mean transfer of each cap as few functions (k, (L+1)²) and coefficients (n, k) of them.
+        """The mean transfer of each cluster as few functions (k, (L+1)²) and coefficients (n, k) of them.
 
-        R_n t̄ over a cap lies in the span of what concentrates the kernel t̄ on it.
+        R_n t̄ over a cap of normals lies in the span of what concentrates the kernel t̄ on it. The caps of the clusters
+        are those of their normals only if that is what was grouped.
         """
         assert self.mean is not None
+        clusters = self.clusters
+        if clusters.sites is None:
+            clusters = enclosed(clusters.index, len(clusters.caps), self._axes)
         solved: dict[tuple[int, float], NDArray[np.float64]] = {}
         parts = []
-        for cap, members, kind in zip(
-            self.clusters.caps, self.clusters.members, self.clusters.kinds.tolist(), strict=True
-        ):
+        for cap, members, kind in zip(clusters.caps, clusters.members, self.clusters.kinds.tolist(), strict=True):
             half_angle = shared_half_angle(cap.half_angle)
             if (kind, half_angle) not in solved:
                 basis = cap_basis(self.bandlimit, half_angle, kernel=self.mean.zonal[kind].astype(np.float64))

@@ -110,7 +110,8 @@ class Settings:
             raise UserError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {self.truncate!r}")
         if self.truncate is not None and self.needs_all_vectors:
             raise UserError(f"truncate counts functions of a cap, which {self.basis} does not have; use terms")
-        if self.tolerance is not None and not (math.isfinite(self.tolerance) and self.tolerance > 0.0):
+        number = isinstance(self.tolerance, int | float | np.number) and not isinstance(self.tolerance, bool)
+        if self.tolerance is not None and not (number and math.isfinite(self.tolerance) and self.tolerance > 0.0):
             raise UserError(f"tolerance must be a positive number, not {self.tolerance!r}")
         if self.epsilon is not None:
             check_epsilon(self.epsilon)
@@ -129,6 +130,8 @@ class Settings:
         if self.codes not in CODINGS:
             raise UserError(f"coding must be one of {', '.join(CODINGS)}, not {self.coding!r}")
         if self.light_prior is not None:
+            if not isinstance(self.light_prior, LightPrior):
+                raise UserError(f"light_prior must come from falling_prior or measured_prior, not {self.light_prior!r}")
             if self.needs_all_vectors or self.basis == "none":
                 raise UserError(f"a light prior has no effect on basis {self.basis}; leave it out")
             if len(self.light_prior.weights) != bandlimit + 1:

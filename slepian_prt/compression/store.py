@@ -178,6 +178,7 @@ def journal(fingerprint: str) -> Iterator[Journal]:
     """
     file = _locked(fingerprint)
     if file is None:
+        log.info("no folder to keep finished work in, or another process does the same; if stopped, it starts again")
         with tempfile.TemporaryFile(prefix="slepian_prt-") as temporary:
             yield Journal(temporary)
         return

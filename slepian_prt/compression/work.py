@@ -205,7 +205,8 @@ class Work:
         total, missed = self._caps(store, overrides).energies()
         most = max(found.energies.size for found in self._found)
         enough = missed <= _LEFT_OUT_AT_MOST * self.settings.asked**2 * total
-        if self.settings.by_number or not self._codes or enough or self.bases[0].count >= most:
+        fixed = self.settings.by_number or not self._codes or self.settings.needs_all_vectors
+        if fixed or enough or self.bases[0].count >= most:
             return False
         self._factor *= 2
         self.use(self._found, self.channels)

@@ -295,3 +295,16 @@ def test_peak_memory_does_not_grow_with_the_mesh():
 def test_convex_streams_without_a_ray():
     packed = precompute_compressed(sphere(4), Settings(tolerance=0.05, clusters=12), JOB)
     assert packed.rays_traced == 0
+
+
+@pytest.mark.parametrize("group_by", ["normal", "bent", "surface"])
+@pytest.mark.parametrize("classes", [1, 3])
+def test_relighting_is_reconstruction_times_light_however_grouped(group_by, classes, rng):
+    if group_by == "surface" and classes > 1:
+        pytest.skip("patches have no classes")
+    settings = Settings(tolerance=0.05, clusters=8, group_by=group_by, occlusion_classes=classes)
+    packed = precompute_compressed(bumpy(4), settings, JOB)
+    light = rng.normal(size=(3, 49))
+    expected = packed.reconstruct() @ light.T.astype(np.float32) * packed.mesh.albedo
+    # The mean transfer is relit through as many functions as leave out 1e-5 of it.
+    np.testing.assert_allclose(packed.radiance(light), expected, atol=1e-4 * np.abs(expected).max())
