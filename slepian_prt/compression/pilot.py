@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.clusters import Clusters
-from slepian_prt.slepian.kernels import SecondMoment, measured_moment
-from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.slepian.kernels import SecondMoment, measured_moment, zonal_vectors
+from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 
 # Vertices of each kind of cluster.
@@ -44,15 +44,7 @@ class MeanTransfer:
 
     def vectors(self, axes: NDArray, kind: int) -> NDArray[np.float32]:
         """(n, (L+1)²): t_l y_lm(axis); zero where the axis is."""
-        bandlimit = self.zonal.shape[1] - 1
-        result = np.zeros((len(axes), num_coefficients(bandlimit)), dtype=np.float32)
-        lobe = self.zonal[kind].astype(np.float64)[degrees(bandlimit)]
-        for begin in range(0, len(axes), 8192):
-            block = slice(begin, begin + 8192)
-            lit = np.any(axes[block] != 0.0, axis=1)
-            if lit.any():
-                result[block][lit] = real_sh(bandlimit, axes[block][lit]) * lobe
-        return result
+        return zonal_vectors(self.zonal[kind], axes)
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def compress(
     transfer: Transfer,
     basis: str = "adapted",
     *,
-    clusters: int | Clusters | None = None,
+    clusters: int | Clusters | Grouping | None = None,
     tell: Tell = lambda _: None,
     **options: Any,
 ) -> CompressedTransfer:
@@ -56,7 +56,7 @@ def compress(
     ----------
     transfer : Transfer
     basis : str
-    clusters : int, or Clusters made before
+    clusters : int, or Clusters of the transfer's own axes, or a Grouping, made before
     tell : callable
         Told what is being done.
     **options
@@ -68,12 +68,14 @@ def compress(
     ValueError
         An unknown name, a number outside its range, or options that exclude each other.
     """
-    if not isinstance(clusters, Clusters) and clusters is not None:
+    if isinstance(clusters, Clusters):
+        clusters = Grouping(clusters, transfer.axes)
+    if not isinstance(clusters, Grouping) and clusters is not None:
         options["clusters"] = clusters
     settings = Settings(basis=basis, **options)
     settings.check(transfer.bandlimit)
     started = time.perf_counter()
-    grouping = Grouping(clusters, transfer.axes) if isinstance(clusters, Clusters) else grouped(settings, transfer)
+    grouping = clusters if isinstance(clusters, Grouping) else grouped(settings, transfer)
     if settings.basis == "cpca":
         terms = settings.terms or USUAL_TERMS
         iterated = iterate_clusters(grouping.clusters, transfer.axes, transfer.vectors, terms, tell)

@@ -189,7 +189,8 @@ def compare(
         if transfer.environment is None:
             raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
         environments = [transfer.environment]
-    clusters = grouped(grouping, transfer).clusters
+    made = grouped(grouping, transfer)
+    clusters = made.clusters
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]
     with open_scene(scene, albedo=job.albedo, view=job.view) as (mi, opened):
@@ -201,7 +202,7 @@ def compare(
         ]
     shown = min(wanted, key=lambda k: abs(k - 16))
     measured = []
-    for entry in entries(transfer, clusters, methods, wanted, lighting, status):
+    for entry in entries(transfer, made, methods, wanted, lighting, status):
         measured.append(_measure(entry, transfer, lighting, full, views, camera))
         if entry.asked == shown:
             for seen, light in zip(views, lighting, strict=True):

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.baselines import haar_transfer, iterate_clusters
-from slepian_prt.compression.clusters import Clusters
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.light_prior import measured_prior
 from slepian_prt.compression.pipeline import USUAL_TERMS, compress
 from slepian_prt.compression.settings import BASES
@@ -87,7 +87,7 @@ def check_methods(methods: Sequence[str]) -> None:
 
 def entries(
     transfer: Transfer,
-    clusters: Clusters,
+    clusters: Grouping,
     methods: Sequence[str],
     terms: Sequence[int],
     lighting: Sequence[NDArray],
@@ -117,7 +117,7 @@ def entries(
 
 def _compressed(
     transfer: Transfer,
-    clusters: Clusters,
+    clusters: Grouping,
     method: str,
     lighting: Sequence[NDArray],
     *,
@@ -140,10 +140,10 @@ def _compressed(
     return Entry(method, packed.coding, packed.terms, terms, packed, packed.seconds["compress"])
 
 
-def _cpca_coded(transfer: Transfer, clusters: Clusters, status: Callable[[str], None]) -> Iterator[Entry]:
+def _cpca_coded(transfer: Transfer, clusters: Grouping, status: Callable[[str], None]) -> Iterator[Entry]:
     """Clusters are iterated once for all tolerances, and that time counts each time."""
     begin = time.perf_counter()
-    iterated = iterate_clusters(clusters, transfer.axes, transfer.vectors, USUAL_TERMS, status)
+    iterated = iterate_clusters(clusters.clusters, transfer.axes, transfer.vectors, USUAL_TERMS, status)
     seconds = time.perf_counter() - begin
     for tolerance in _CODED_TOLERANCES:
         status(f"cpca, coded to {tolerance:g}")
@@ -181,7 +181,7 @@ class _Padded:
         return self.packed.radiance(lighting[:, : num_coefficients(self.packed.bandlimit)])
 
 
-def _d3dx(transfer: Transfer, clusters: Clusters) -> _Padded:
+def _d3dx(transfer: Transfer, clusters: Grouping) -> _Padded:
     bandlimit = min(transfer.bandlimit, _D3DX_BANDLIMIT)
     size = num_coefficients(bandlimit)
     cut = replace(transfer, bandlimit=bandlimit, vectors=transfer.vectors[:, :, :size], environment=None)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import eval_legendre
 
 from slepian_prt.errors import UserError, check_bandlimit
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
 
 
@@ -55,6 +55,26 @@ def zonal_coefficients(bandlimit: int, lobe: Callable[[NDArray], NDArray], nodes
     x = np.concatenate([0.5 * (rule.nodes - 1.0), 0.5 * (rule.nodes + 1.0)])
     weighted = np.tile(0.5 * rule.weights, 2) * np.asarray(lobe(x), dtype=np.float64)
     return np.array([2.0 * math.pi * np.sum(weighted * eval_legendre(l, x)) for l in range(bandlimit + 1)])
+
+
+def zonal_vectors(zonal: ArrayLike, axes: NDArray) -> NDArray[np.float32]:
+    """Copies of a zonal kernel about axes: t_l y_lm(axis), shape (n, (L+1)²); zero where the axis is.
+
+    Parameters
+    ----------
+    zonal : (L+1,)
+    axes : (n, 3) unit vectors or zero
+    """
+    lobe = np.asarray(zonal, dtype=np.float64)
+    bandlimit = lobe.size - 1
+    lobe = lobe[degrees(bandlimit)]
+    vectors = np.zeros((len(axes), num_coefficients(bandlimit)), dtype=np.float32)
+    for begin in range(0, len(axes), 8192):
+        block = slice(begin, begin + 8192)
+        lit = np.any(axes[block] != 0.0, axis=1)
+        if lit.any():
+            vectors[block][lit] = real_sh(bandlimit, axes[block][lit]) * lobe
+    return vectors
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from threadpoolctl import threadpool_limits
 
 from slepian_prt.scene.meshes import morton
 from slepian_prt.scene.scenes import Scene
-from slepian_prt.slepian.kernels import cosine_lobe
-from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
+from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.directions import QUARTERS, SMALLEST_NET, Net, direction_net
 
@@ -56,14 +56,7 @@ Found = TypeVar("Found")
 
 def unoccluded_transfer(bandlimit: int, normals: NDArray) -> NDArray[np.float32]:
     """A_l y_lm(n), shape (V, (L+1)²); zero where the normal is zero."""
-    vectors = np.zeros((len(normals), num_coefficients(bandlimit)), dtype=np.float32)
-    lobe = cosine_lobe(bandlimit)[degrees(bandlimit)]
-    for begin in range(0, len(normals), 8192):
-        block = slice(begin, begin + 8192)
-        lit = np.any(normals[block] != 0.0, axis=1)
-        if lit.any():
-            vectors[block][lit] = real_sh(bandlimit, normals[block][lit]) * lobe
-    return vectors
+    return zonal_vectors(cosine_lobe(bandlimit), normals)
 
 
 def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
