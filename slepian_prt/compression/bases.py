@@ -118,15 +118,6 @@ class LinearBasis:
         )
         return vectors if self.mean is None else vectors + self.mean
 
-    def light(self, lighting: NDArray, mixing: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What each coefficient, (K channels, 3), and the mean, (3,), make of lighting (3, (L+1)²).
-
-        ``mixing`` (channels, 3) is the part of each channel in red, green and blue.
-        """
-        by_function = np.einsum("kc,dc->kdc", self.synthesis @ lighting.T, mixing)
-        mean = np.zeros(3) if self.mean is None else np.einsum("dm,cm,dc->c", self.mean, lighting, mixing)
-        return by_function.reshape(-1, 3), mean
-
 
 def orthonormal_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Gram-Schmidt of nearly orthonormal rows, in order."""

@@ -16,6 +16,7 @@ from slepian_prt.compression import archive, codec
 from slepian_prt.compression.bases import LinearBasis, shared_half_angle
 from slepian_prt.compression.clusters import Clusters, clusters_of_sites, enclosed
 from slepian_prt.compression.light_prior import falling_prior, light_power
+from slepian_prt.compression.operator import Factors, TransferOperator, without_the_least
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer, channel_mixing
 from slepian_prt.compression.prediction import Expectation
@@ -26,9 +27,12 @@ from slepian_prt.scene.meshes import Mesh, morton
 from slepian_prt.scene.scenes import Part
 from slepian_prt.slepian.concentration import cap_basis, scatter_radial
 from slepian_prt.sphere.caps import Cap
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.effects import Effect
+
+# Relit are functions that leave out no more than this part of the error of coded transfer.
+_LEFT_OUT = 0.01
 
 # The mean transfer of a cap is held by as many functions as leave out less than this part of it.
 _MEAN_LEFT_OUT = 1e-5
@@ -177,19 +181,41 @@ class CompressedTransfer:
 
     def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
         """(V, 3) outgoing radiance under lighting (3, (L+1)²), straight from the coefficients."""
-        result = np.empty((len(self.mesh.positions), 3), dtype=np.float32)
+        return self.operator.apply(lighting[None])[0]
+
+    @cached_property
+    def operator(self) -> TransferOperator:
+        """What lighting is multiplied with; made at the first use.
+
+        Of coded transfer, functions are left out that hold less than a hundredth of its error.
+        """
+        parts = [self._factors(c, found) for c, found in enumerate(self._decoded)]
+        if self.coded is not None:
+            prior, error = self.bases[0].weights, self.predicted_error_under_prior
+            weights = np.ones(num_coefficients(self.bandlimit)) if prior is None else prior[degrees(self.bandlimit)]
+            parts = without_the_least(parts, weights, _LEFT_OUT * (self.predicted_error if error is None else error))
+        self.__dict__.pop("_decoded")  # as large as what was made of it
+        return TransferOperator(parts, self.clusters.members, self.mesh.albedo * self.mesh.receivers[:, None])
+
+    def _factors(self, c: int, found: CapCoefficients) -> Factors:
+        """One cap's coefficients and the functions they belong to, the mean transfer among them."""
+        basis, size = self.bases[c], num_coefficients(self.bandlimit)
         # One channel stands for all three; three are mixed back.
-        mixing = np.ones((1, 3)) if self.channels == 1 else channel_mixing(3).astype(np.float64)
-        for c, (members, basis, found) in enumerate(zip(self.clusters.members, self.bases, self._decoded, strict=True)):
-            functions, mean = basis.light(lighting, mixing)
-            lit = functions if found.axes is None else found.axes @ functions
-            radiance = found.values @ lit.astype(np.float32) + mean
-            if self.mean is not None:
-                model, along = self._means[c]
-                radiance += along @ ((model @ lighting.T) * mixing[0]).astype(np.float32)
-            result[members] = radiance
-        result[~self.mesh.receivers] = 0.0
-        return result * self.mesh.albedo
+        mixing = np.ones((1, 1)) if self.channels == 1 else channel_mixing(3).astype(np.float64)
+        functions = np.einsum("km,dc->kdcm", basis.synthesis, mixing).reshape(-1, self.channels * size)
+        if found.axes is not None:
+            functions = found.axes @ functions
+        columns = [found.values]
+        if basis.mean is not None:
+            mean = np.einsum("dm,dc->cm", basis.mean.astype(np.float64), mixing).reshape(1, -1)
+            functions = np.concatenate([functions, mean])
+            columns.append(np.ones((len(found.values), 1), dtype=np.float32))
+        if self.mean is not None:
+            model, along = self._mean_factors(c)
+            functions = np.concatenate([functions, np.einsum("km,c->kcm", model, mixing[0]).reshape(len(model), -1)])
+            columns.append(along)
+        values = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
+        return Factors(values, functions.reshape(-1, self.channels, size))
 
     def cap(self, number: int) -> tuple[NDArray[np.int64], CapCoefficients]:
         """One cap's vertices and coefficients, the others left alone."""
@@ -216,33 +242,37 @@ class CompressedTransfer:
         """Normals as the file has them."""
         return self.mesh.normals.astype(np.float32).astype(np.float64)
 
-    @cached_property
-    def _means(self) -> list[tuple[NDArray[np.float64], NDArray[np.float32]]]:
-        """The mean transfer of each cluster as few functions (k, (L+1)²) and coefficients (n, k) of them.
+    def _mean_factors(self, c: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """The mean transfer of a cluster as few functions (k, (L+1)²) and coefficients (n, k) of them.
 
-        R_n t̄ over a cap of normals lies in the span of what concentrates the kernel t̄ on it. The caps of the clusters
-        are those of their normals only if that is what was grouped.
+        R_n t̄ over a cap of normals lies in the span of what concentrates the kernel t̄ on it.
         """
         assert self.mean is not None
-        clusters = self.clusters
-        if clusters.sites is None:
-            clusters = enclosed(clusters.index, len(clusters.caps), self._axes)
-        solved: dict[tuple[int, float], NDArray[np.float64]] = {}
-        parts = []
-        for cap, members, kind in zip(clusters.caps, clusters.members, self.clusters.kinds.tolist(), strict=True):
-            half_angle = shared_half_angle(cap.half_angle)
-            if (kind, half_angle) not in solved:
-                basis = cap_basis(self.bandlimit, half_angle, kernel=self.mean.zonal[kind].astype(np.float64))
-                left = np.cumsum(basis.eigenvalues[::-1])[::-1]
-                count = max(1, int(np.sum(left > _MEAN_LEFT_OUT**2 * left[0])))
-                solved[kind, half_angle] = scatter_radial(basis.radial[:count], basis.orders[:count])
-            model = rotate_sh(solved[kind, half_angle], rotation_to(cap.center))
-            along = np.empty((members.size, len(model)), dtype=np.float32)
-            for begin in range(0, members.size, 8192):
-                block = slice(begin, begin + 8192)
-                along[block] = self.mean.vectors(self._axes[members[block]], kind) @ model.T.astype(np.float32)
-            parts.append((model, along))
-        return parts
+        members, kind, cap = self.clusters.members[c], int(self.clusters.kinds[c]), self._normal_caps[c]
+        half_angle = shared_half_angle(cap.half_angle)
+        if (kind, half_angle) not in self._mean_functions:
+            basis = cap_basis(self.bandlimit, half_angle, kernel=self.mean.zonal[kind].astype(np.float64))
+            left = np.cumsum(basis.eigenvalues[::-1])[::-1]
+            count = max(1, int(np.sum(left > _MEAN_LEFT_OUT**2 * left[0])))
+            self._mean_functions[kind, half_angle] = scatter_radial(basis.radial[:count], basis.orders[:count])
+        model = rotate_sh(self._mean_functions[kind, half_angle], rotation_to(cap.center))
+        along = np.empty((members.size, len(model)), dtype=np.float32)
+        for begin in range(0, members.size, 8192):
+            block = slice(begin, begin + 8192)
+            along[block] = self.mean.vectors(self._axes[members[block]], kind) @ model.T.astype(np.float32)
+        return model, along
+
+    @cached_property
+    def _mean_functions(self) -> dict[tuple[int, float], NDArray[np.float64]]:
+        """Functions of the mean transfer about the pole, by kind and half-angle, as they are needed."""
+        return {}
+
+    @cached_property
+    def _normal_caps(self) -> tuple[Cap, ...]:
+        """Caps of the clusters' normals; those of the clusters only if normals are what was grouped."""
+        if self.clusters.sites is not None:
+            return self.clusters.caps
+        return enclosed(self.clusters.index, len(self.clusters.caps), self._axes).caps
 
     # --- File --------------------------------------------------------------------------------------------------------
 

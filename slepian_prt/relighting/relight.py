@@ -14,30 +14,46 @@ from slepian_prt.transport.transfer import Transfer
 def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDArray[np.float32]:
     """B(x) = ρ(x) Σ e_lm t_lm(x).
 
+    The first call of a compressed transfer prepares it; each further one takes about as long as reading its
+    coefficients from memory.
+
     Parameters
     ----------
     transfer : Transfer (full SH) or CompressedTransfer
-    lighting : (3, (L+1)²)
+    lighting : (3, (L+1)²), or (B, 3, (L+1)²) for B lights at once
         From `project_environment`, at the bandlimit of the transfer.
 
     Returns
     -------
-    (V, 3) float32 RGB radiance. Ringing of bright small lights can make it slightly negative.
+    (V, 3) or (B, V, 3) float32 RGB radiance. Ringing of bright small lights can make it slightly negative.
 
     Raises
     ------
-    ValueError
-        Lighting of another shape.
+    UserError
+        Lighting of another shape, or not finite.
     """
-    light = np.asarray(lighting, dtype=np.float64)
+    lights = np.asarray(lighting, dtype=np.float64)
     wanted = (3, num_coefficients(transfer.bandlimit))
-    if light.shape != wanted:
-        raise UserError(f"lighting must have shape {wanted} for bandlimit {transfer.bandlimit}, not {light.shape}")
+    if lights.ndim not in (2, 3) or lights.shape[-2:] != wanted or lights.size == 0:
+        raise UserError(f"lighting must have shape {wanted} for bandlimit {transfer.bandlimit}, not {lights.shape}")
+    if not np.all(np.isfinite(lights)):
+        raise UserError("lighting must be finite; check the map that it was projected from")
+    several = lights.reshape(-1, *wanted)
     if isinstance(transfer, CompressedTransfer):
-        return transfer.radiance(light)
-    if transfer.vectors.shape[1] == 1:
-        return (transfer.vectors[:, 0] @ light.T.astype(np.float32)) * transfer.mesh.albedo
-    return np.einsum("vcm,cm->vc", transfer.vectors, light.astype(np.float32)) * transfer.mesh.albedo
+        radiance = transfer.operator.apply(several)
+    else:
+        radiance = _from_vectors(transfer, several.astype(np.float32))
+    return radiance if lights.ndim == 3 else radiance[0]
+
+
+def _from_vectors(transfer: Transfer, lights: NDArray[np.float32]) -> NDArray[np.float32]:
+    count, channels, size = transfer.vectors.shape
+    if channels == 1:
+        radiance = (transfer.vectors[:, 0] @ lights.reshape(-1, size).T).reshape(count, len(lights), 3)
+    else:
+        radiance = np.einsum("vcm,bcm->vbc", transfer.vectors, lights, optimize=True)
+    radiance *= transfer.mesh.albedo[:, None]
+    return np.moveaxis(radiance, 1, 0)
 
 
 def negative_part(radiance: NDArray) -> float:

@@ -1,0 +1,135 @@
+"""Compressed transfer as the matrix that lighting is multiplied with, kept in the factors it is compressed to.
+
+Within a cap, T ≈ C F with few functions F and coefficients C, so that radiance is C (F e): F e is small, and what takes
+time is to read C once. Its speed is that of the memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Factors:
+    """One cap: transfer of its vertices ≈ ``coefficients`` times ``functions``.
+
+    Attributes
+    ----------
+    coefficients : (n, r) float32
+    functions : (r, channels, (L+1)²) float64
+    """
+
+    coefficients: NDArray[np.float32]
+    functions: NDArray[np.float64]
+
+    def orthonormal(self, weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], Factors]:
+        """The same with functions that are orthonormal if weighted, the most important first, and each one's energy.
+
+        ``weights`` ((L+1)²,) are those of a light prior.
+        """
+        rows = (self.functions * weights).reshape(len(self.functions), -1)
+        # Dependent functions are common: the mean of a cap mostly lies among the functions of its basis.
+        values, vectors = np.linalg.eigh(rows @ rows.T)
+        kept = values > 1e-12 * values[-1]
+        mixed = vectors[:, kept] * np.sqrt(values[kept])
+        gram = self.coefficients.T.astype(np.float64) @ self.coefficients
+        energies, axes = np.linalg.eigh(mixed.T @ gram @ mixed)
+        axes = axes[:, ::-1]
+        functions = axes.T @ (vectors[:, kept] / np.sqrt(values[kept])).T @ rows
+        coefficients = self.coefficients @ (mixed @ axes).astype(np.float32)
+        functions = functions.reshape(-1, *self.functions.shape[1:]) / weights
+        return np.maximum(energies[::-1], 0.0), Factors(coefficients, functions)
+
+    def first(self, count: int) -> Factors:
+        """Only the first ``count`` functions."""
+        return Factors(np.ascontiguousarray(self.coefficients[:, :count]), self.functions[:count])
+
+
+def without_the_least(parts: Sequence[Factors], weights: NDArray[np.float64], lost: float) -> list[Factors]:
+    """Factors of all caps with as few functions as leave out ``lost`` (relative RMS) of the weighted transfer."""
+    made = [part.orthonormal(weights) for part in parts]
+    energies = np.concatenate([energy for energy, _ in made])
+    sizes = np.concatenate([np.full(energy.size, len(part.coefficients)) for energy, part in made])
+    # Per number that has to be read: a function of a small cap is worth more than one of a large cap.
+    order = np.argsort(energies / np.maximum(sizes, 1), kind="stable")
+    dropped = order[np.cumsum(energies[order]) <= lost**2 * energies.sum()]
+    keep = np.ones(energies.size, dtype=bool)
+    keep[dropped] = False
+    ends = np.cumsum([energy.size for energy, _ in made])
+    counts = [int(part.sum()) for part in np.split(keep, ends[:-1])]
+    return [part.first(count) for (_, part), count in zip(made, counts, strict=True)]
+
+
+class TransferOperator:
+    """Radiance from lighting, and gradients of lighting from those of radiance.
+
+    Parameters
+    ----------
+    parts : Factors of each cap
+    members : vertices of each cap
+    reflectance : (V, 3)
+        What radiance is multiplied with: the albedo, zero at vertices without transfer.
+    """
+
+    def __init__(self, parts: Sequence[Factors], members: Sequence[NDArray], reflectance: NDArray) -> None:
+        self._blocks = [part.coefficients for part in parts]
+        self._functions = np.concatenate([part.functions for part in parts]).astype(np.float32)
+        self._ranks = np.concatenate([[0], np.cumsum([len(part.functions) for part in parts])])
+        self._starts = np.concatenate([[0], np.cumsum([len(block) for block in self._blocks])])
+        self._order = np.concatenate(members)
+        self._place = np.empty_like(self._order)
+        self._place[self._order] = np.arange(self._order.size)
+        self._reflectance = None if np.all(reflectance == 1.0) else reflectance.astype(np.float32)
+
+    @property
+    def size(self) -> int:
+        """Numbers that are read for each light."""
+        return sum(block.size for block in self._blocks)
+
+    def apply(self, lighting: NDArray) -> NDArray[np.float32]:
+        """(B, V, 3) radiance under B lightings (B, 3, (L+1)²)."""
+        count = len(lighting)
+        lit = self._lit(lighting)
+        along = np.empty((self._order.size, 3 * count), dtype=np.float32)
+        for c, block in enumerate(self._blocks):
+            np.matmul(
+                block,
+                lit[self._ranks[c] : self._ranks[c + 1]],
+                out=along[self._starts[c] : self._starts[c + 1]],
+            )
+        radiance = np.take(along, self._place, axis=0).reshape(-1, count, 3)
+        if self._reflectance is not None:
+            radiance *= self._reflectance[:, None]
+        return np.moveaxis(radiance, 1, 0)
+
+    def adjoint(self, gradient: NDArray) -> NDArray[np.float64]:
+        """(B, 3, (L+1)²) from gradients (B, V, 3) of radiance: the transpose of `apply`."""
+        count = len(gradient)
+        given = np.moveaxis(np.asarray(gradient, dtype=np.float32), 0, 1)
+        if self._reflectance is not None:
+            given = given * self._reflectance[:, None]
+        along = np.take(given.reshape(-1, 3 * count), self._order, axis=0)
+        lit = np.empty((int(self._ranks[-1]), 3 * count), dtype=np.float32)
+        for c, block in enumerate(self._blocks):
+            lit[self._ranks[c] : self._ranks[c + 1]] = block.T @ along[self._starts[c] : self._starts[c + 1]]
+        by_light = lit.reshape(-1, count, 3).astype(np.float64)
+        channels, size = self._functions.shape[1:]
+        result = np.empty((count, 3, size))
+        for c in range(3):
+            result[:, c] = by_light[:, :, c].T @ self._functions[:, c if channels == 3 else 0]
+        return result
+
+    def _lit(self, lighting: NDArray) -> NDArray[np.float32]:
+        """(all functions, 3 B): what each function makes of each light in each colour."""
+        lights = np.asarray(lighting, dtype=np.float32)
+        channels, size = self._functions.shape[1:]
+        if channels == 1:
+            return self._functions[:, 0] @ lights.reshape(-1, size).T
+        lit = np.empty((len(self._functions), len(lights), 3), dtype=np.float32)
+        for c in range(3):
+            lit[:, :, c] = self._functions[:, c] @ lights[:, c].T
+        return lit.reshape(len(self._functions), -1)
