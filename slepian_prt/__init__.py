@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from slepian_prt.compression.light_prior import falling_prior, measured_prior
     from slepian_prt.compression.pipeline import compress
     from slepian_prt.errors import UserError
+    from slepian_prt.relighting.integrator import register
     from slepian_prt.relighting.relight import relight
     from slepian_prt.scene.environments import Environment, project_environment, read_environment
     from slepian_prt.scene.meshes import Mesh, make_mesh, read_mesh
@@ -66,6 +67,7 @@ _HOME = {
     "real_sh": "sphere.harmonics",
     "refined_shannon_number": "slepian.shannon",
     "region_basis": "slepian.concentration",
+    "register": "relighting.integrator",
     "relight": "relighting.relight",
     "rotate_sh": "sphere.rotation",
     "shannon_number": "slepian.shannon",

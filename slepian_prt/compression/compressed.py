@@ -181,11 +181,11 @@ class CompressedTransfer:
 
     def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
         """(V, 3) outgoing radiance under lighting (3, (L+1)²), straight from the coefficients."""
-        return self.operator.apply(lighting[None])[0]
+        return self.operator.apply(lighting[None])[0] * self.mesh.albedo
 
     @cached_property
     def operator(self) -> TransferOperator:
-        """What lighting is multiplied with; made at the first use.
+        """What lighting is multiplied with for unit albedo; made at the first use.
 
         Of coded transfer, functions are left out that hold less than a hundredth of its error.
         """
@@ -195,7 +195,7 @@ class CompressedTransfer:
             weights = np.ones(num_coefficients(self.bandlimit)) if prior is None else prior[degrees(self.bandlimit)]
             parts = without_the_least(parts, weights, _LEFT_OUT * (self.predicted_error if error is None else error))
         self.__dict__.pop("_decoded")  # as large as what was made of it
-        return TransferOperator(parts, self.clusters.members, self.mesh.albedo * self.mesh.receivers[:, None])
+        return TransferOperator(parts, self.clusters.members)
 
     def _factors(self, c: int, found: CapCoefficients) -> Factors:
         """One cap's coefficients and the functions they belong to, the mean transfer among them."""
@@ -214,7 +214,8 @@ class CompressedTransfer:
             model, along = self._mean_factors(c)
             functions = np.concatenate([functions, np.einsum("km,c->kcm", model, mixing[0]).reshape(len(model), -1)])
             columns.append(along)
-        values = columns[0] if len(columns) == 1 else np.concatenate(columns, axis=1)
+        values = np.concatenate(columns, axis=1)
+        values[~self.mesh.receivers[self.clusters.members[c]]] = 0.0
         return Factors(values, functions.reshape(-1, self.channels, size))
 
     def cap(self, number: int) -> tuple[NDArray[np.int64], CapCoefficients]:

@@ -71,11 +71,9 @@ class TransferOperator:
     ----------
     parts : Factors of each cap
     members : vertices of each cap
-    reflectance : (V, 3)
-        What radiance is multiplied with: the albedo, zero at vertices without transfer.
     """
 
-    def __init__(self, parts: Sequence[Factors], members: Sequence[NDArray], reflectance: NDArray) -> None:
+    def __init__(self, parts: Sequence[Factors], members: Sequence[NDArray]) -> None:
         self._blocks = [part.coefficients for part in parts]
         self._functions = np.concatenate([part.functions for part in parts]).astype(np.float32)
         self._ranks = np.concatenate([[0], np.cumsum([len(part.functions) for part in parts])])
@@ -83,7 +81,6 @@ class TransferOperator:
         self._order = np.concatenate(members)
         self._place = np.empty_like(self._order)
         self._place[self._order] = np.arange(self._order.size)
-        self._reflectance = None if np.all(reflectance == 1.0) else reflectance.astype(np.float32)
 
     @property
     def size(self) -> int:
@@ -91,7 +88,7 @@ class TransferOperator:
         return sum(block.size for block in self._blocks)
 
     def apply(self, lighting: NDArray) -> NDArray[np.float32]:
-        """(B, V, 3) radiance under B lightings (B, 3, (L+1)²)."""
+        """(B, V, 3) radiance for unit albedo under B lightings (B, 3, (L+1)²)."""
         count = len(lighting)
         lit = self._lit(lighting)
         along = np.empty((self._order.size, 3 * count), dtype=np.float32)
@@ -101,17 +98,12 @@ class TransferOperator:
                 lit[self._ranks[c] : self._ranks[c + 1]],
                 out=along[self._starts[c] : self._starts[c + 1]],
             )
-        radiance = np.take(along, self._place, axis=0).reshape(-1, count, 3)
-        if self._reflectance is not None:
-            radiance *= self._reflectance[:, None]
-        return np.moveaxis(radiance, 1, 0)
+        return np.moveaxis(np.take(along, self._place, axis=0).reshape(-1, count, 3), 1, 0)
 
     def adjoint(self, gradient: NDArray) -> NDArray[np.float64]:
         """(B, 3, (L+1)²) from gradients (B, V, 3) of radiance: the transpose of `apply`."""
         count = len(gradient)
         given = np.moveaxis(np.asarray(gradient, dtype=np.float32), 0, 1)
-        if self._reflectance is not None:
-            given = given * self._reflectance[:, None]
         along = np.take(given.reshape(-1, 3 * count), self._order, axis=0)
         lit = np.empty((int(self._ranks[-1]), 3 * count), dtype=np.float32)
         for c, block in enumerate(self._blocks):

@@ -43,6 +43,8 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
         radiance = transfer.operator.apply(several)
     else:
         radiance = _from_vectors(transfer, several.astype(np.float32))
+    if not np.all(transfer.mesh.albedo == 1.0):
+        radiance *= transfer.mesh.albedo
     return radiance if lights.ndim == 3 else radiance[0]
 
 
@@ -52,7 +54,6 @@ def _from_vectors(transfer: Transfer, lights: NDArray[np.float32]) -> NDArray[np
         radiance = (transfer.vectors[:, 0] @ lights.reshape(-1, size).T).reshape(count, len(lights), 3)
     else:
         radiance = np.einsum("vcm,bcm->vbc", transfer.vectors, lights, optimize=True)
-    radiance *= transfer.mesh.albedo[:, None]
     return np.moveaxis(radiance, 1, 0)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -33,14 +34,8 @@ def usable_variant() -> str:
     """
     wanted = os.environ.get("SLEPIAN_PRT_VARIANT", "")
     if wanted:
-        if (
-            wanted not in _import().variants()
-            or not wanted.startswith(("llvm_", "cuda_"))
-            or not wanted.endswith("_rgb")
-        ):
-            known = [
-                name for name in _import().variants() if name.startswith(("llvm_", "cuda_")) and name.endswith("_rgb")
-            ]
+        known = [name for name in imported_mitsuba().variants() if re.fullmatch("(llvm|cuda)_.*_rgb", name)]
+        if wanted not in known:
             raise UserError(f"SLEPIAN_PRT_VARIANT must be one of {', '.join(known)}, not {wanted!r}")
         if wanted.startswith("llvm"):
             prepare_llvm()
@@ -77,7 +72,7 @@ def mitsuba() -> Iterator[Any]:
 
     A variant that the user has set and that can trace on many rays at once is kept.
     """
-    mi = _import()
+    mi = imported_mitsuba()
     before = mi.variant()
     if before and before.startswith(("llvm_", "cuda_")) and before.endswith("_rgb"):
         yield mi
@@ -92,13 +87,14 @@ def mitsuba() -> Iterator[Any]:
 
 def bitmap_module() -> ModuleType:
     """Mitsuba with some variant set, enough to read and write pictures; needs no LLVM."""
-    mi = _import()
+    mi = imported_mitsuba()
     if mi.variant() is None:
         mi.set_variant("scalar_rgb")
     return mi
 
 
-def _import() -> ModuleType:
+def imported_mitsuba() -> ModuleType:
+    """Mitsuba, whatever its variant, with LLVM found for those that need it."""
     if "drjit" not in sys.modules and "DRJIT_LIBLLVM_PATH" not in os.environ:
         # Dr.Jit looks for LLVM once, at the first use of any LLVM variant, also one that the user sets later.
         path, _ = llvm.find()
