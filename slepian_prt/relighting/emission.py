@@ -72,7 +72,11 @@ class Relit:
         mi = self._mi
         if emitter is None:
             return dr.zeros(mi.Float, self._packed.mesh.albedo.size)
-        seen = list(mi.traverse(emitter).items())
+        # Copies: what `mi.traverse` gives changes with the emitter. Those of arrays are of their handles only.
+        seen = [
+            (name, type(value)(value) if dr.is_array_v(value) else repr(value))
+            for name, value in mi.traverse(emitter).items()
+        ]
         if self._seen is not None and _unchanged(self._seen, seen):
             return self._radiance
         light = distant_light(mi, emitter, self._packed.bandlimit, self._turn)
@@ -86,9 +90,7 @@ class Relit:
 
         radiance = linear(apply, transpose, light, mi.Float)
         if not dr.grad_enabled(radiance):
-            # Copies of the handles: what `mi.traverse` gives changes with the emitter.
-            self._seen = [(name, type(value)(value) if dr.is_array_v(value) else value) for name, value in seen]
-            self._radiance = radiance
+            self._seen, self._radiance = seen, radiance
         return radiance
 
 
@@ -100,7 +102,7 @@ def _unchanged(before: list[tuple[str, Any]], now: list[tuple[str, Any]]) -> boo
         return False
     for (_, old), (_, new) in zip(before, now, strict=True):
         if not dr.is_array_v(new):
-            if repr(old) != repr(new):
+            if old != new:
                 return False
             continue
         if dr.grad_enabled(new) or type(old) is not type(new) or old.shape != new.shape:

@@ -9,16 +9,12 @@ mi.render(scene)                           #     <string name="transfer" value="
 
 from __future__ import annotations
 
-import os
-from functools import lru_cache
+import re
 from typing import Any
 
-import numpy as np
-
-from slepian_prt.compression.compressed import CompressedTransfer, load
 from slepian_prt.errors import UserError
-from slepian_prt.relighting.emission import Relit, metameric_spectra
-from slepian_prt.relighting.surfaces import Surfaces
+from slepian_prt.relighting.emission import metameric_spectra
+from slepian_prt.relighting.held import Held
 from slepian_prt.scene.variants import imported_mitsuba
 
 NAME = "slepian_prt"
@@ -64,127 +60,93 @@ def _refused(_properties: Any) -> Any:
     )
 
 
-@lru_cache(maxsize=4)
-def _loaded(path: str, _changed: int, _size: int) -> CompressedTransfer:
-    return load(path)
-
-
-def _transfer(path: str) -> CompressedTransfer:
-    """A file, read once however many integrators and variants use it."""
-    if not os.path.isfile(path):
-        return load(path)  # which says what is wrong
-    state = os.stat(path)
-    return _loaded(path, state.st_mtime_ns, state.st_size)
-
-
 def _integrator_class(mi: Any) -> Any:
     """The class for the current variant."""
     import drjit as dr
 
     class SlepianPRT(mi.SamplingIntegrator):
-        """Radiance of the vertices where camera rays meet shapes of the file, else what ``direct`` would draw.
+        """Radiance of the vertices where camera rays meet shapes of the files, else what ``direct`` would draw.
 
         Parameters of the plugin
         ------------------------
         transfer : string
-            Path of a ``.prt`` file, relative to the scene.
+            Path of a ``.prt`` file, relative to the scene. Further ones are ``transfer_`` and anything.
         albedo : string
-            ``file`` (default): what the file says that vertices reflect, which ``mi.traverse`` shows as ``albedo``.
-            ``scene``: what the materials of the scene reflect diffusely.
+            ``file`` (default): what the file says that vertices reflect, which ``mi.traverse`` shows as ``albedo``
+            (of ``transfer_x`` as ``albedo_x``). ``scene``: what the materials of the scene reflect diffusely.
         shading_samples, emitter_samples, bsdf_samples, hide_emitters
             As those of ``direct``.
         """
 
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
-            if not properties.has_property("transfer"):
+            names = sorted(name for name in properties if re.fullmatch("transfer(_.*)?", name))
+            if not names:
                 raise UserError(f"integrator {NAME} needs a parameter 'transfer', the path of a .prt file")
-            path = str(mi.file_resolver().resolve(str(properties["transfer"])))
-            self.file = os.path.basename(path)
-            self.packed = _transfer(path)
+            find = mi.file_resolver().resolve
+            self.files = {name: Held(mi, str(find(str(properties[name])))) for name in names}
             source = str(properties.get("albedo", "file"))
             if source not in ("file", "scene"):
                 raise UserError(f"albedo of integrator {NAME} must be 'file' or 'scene', not {source!r}")
             self.of_scene = source == "scene"
-            if self.of_scene and self.packed.toward_view:
-                raise UserError(f"{self.file}: transfer toward a camera has its materials in it; leave out albedo")
-            others = {name: properties[name] for name in _OF_DIRECT if properties.has_property(name)}
+            for file in self.files.values():
+                if self.of_scene and file.packed.toward_view:
+                    raise UserError(f"{file.name}: transfer toward a camera has its materials in it; leave out albedo")
+            others = {name: properties[name] for name in _OF_DIRECT if name in properties}
             self.others = mi.load_dict({"type": "direct", **others})
-            self.albedo = mi.TensorXf(np.ascontiguousarray(self.packed.mesh.albedo, dtype=np.float32))
             self.spectra = metameric_spectra(mi).tolist() if mi.is_spectral else None
-            self._scene: Any = None
-            self._surfaces: Any = None
-            self._relit: Any = None
 
         def traverse(self, callback: Any) -> None:
-            callback.put("albedo", self.albedo, mi.ParamFlags.Differentiable)
+            for name, file in self.files.items():
+                callback.put(name.replace("transfer", "albedo", 1), file.albedo, mi.ParamFlags.Differentiable)
 
         def parameters_changed(self, keys: Any) -> None:
-            wanted = self.packed.mesh.albedo.shape
-            if self.albedo.shape != wanted:
-                raise UserError(f"albedo must have shape {wanted}, not {self.albedo.shape}")
+            for file in self.files.values():
+                file.check_albedo()
 
         def to_string(self) -> str:
-            return f"SlepianPRT[transfer = {self.file}, {len(self.packed.mesh.positions)} vertices]"
+            return f"SlepianPRT[{', '.join(f'{name} = {file.name}' for name, file in self.files.items())}]"
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             self._find(scene)
-            unlit = self._relit.under(scene.environment())
             active = mi.Bool(active)
-            with dr.suspend_grad():  # geometry is not differentiated
-                skip = self._behind_emitters(scene, ray, active) if self.hide_emitters else None
-                met, hit = self._surfaces.meet(scene, mi.Ray3f(ray), active, skip)
-                self._check_camera(ray, met.held)
-            others, valid, _ = self.others.sample(scene, sampler, ray, medium, active & ~met.held)
-            colour = mi.Color3f(0.0)
-            for vertex, weight in zip(met.vertices, met.weights, strict=True):
-                lit = dr.gather(mi.Color3f, unlit, vertex, met.held)
-                if not self.of_scene:
-                    lit *= dr.gather(mi.Color3f, self.albedo.array, vertex, met.held)
-                colour += weight * lit
+            with dr.suspend_grad():
+                hit = scene.ray_intersect_preliminary(mi.Ray3f(ray), coherent=True, active=active)
+                if self.hide_emitters:
+                    hit = self._behind_emitters(scene, ray, hit, active)
+                minimal = hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.Minimal, active & hit.is_valid())
+            held, colour = mi.Bool(False), mi.Color3f(0.0)
+            for file in self.files.values():
+                here, radiance = file.colour(ray, hit, minimal, active & ~held, reflected=not self.of_scene)
+                colour = dr.select(here, radiance, colour)
+                held |= here
             result = _as_spectrum(mi, colour, ray.wavelengths, self.spectra)
-            si = hit.compute_surface_interaction(ray, mi.RayFlags.All, met.held)
+            si = hit.compute_surface_interaction(ray, mi.RayFlags.All, held)
             if self.of_scene:
-                result *= mi.unpolarized_spectrum(si.bsdf(ray).eval_diffuse_reflectance(si, met.held))
+                result *= mi.unpolarized_spectrum(si.bsdf(ray).eval_diffuse_reflectance(si, held))
             if not self.hide_emitters:
-                result += mi.unpolarized_spectrum(si.emitter(scene, met.held).eval(si, met.held))
-            return dr.select(met.held, _depolarized(mi, result), others), valid | met.held, []
+                result += mi.unpolarized_spectrum(si.emitter(scene, held).eval(si, held))
+            others, valid, _ = self.others.sample(scene, sampler, ray, medium, active & ~held)
+            return dr.select(held, _depolarized(mi, result), others), valid | held, []
 
         def _find(self, scene: Any) -> None:
-            """Find the shapes of the file, again if another scene is drawn or vertices were moved."""
-            if self._scene is scene and not self._surfaces.changed():
+            found = [file.name for file in self.files.values() if file.find(scene)]
+            if not found:
                 return
-            self._surfaces = Surfaces(mi, scene, self.packed, self.file)
-            turn = self._surfaces.placement.rotation.T
-            if self.packed.toward_view and np.abs(turn - np.eye(3)).max() > 1e-4:
-                raise UserError(f"{self.file}: holds transfer toward a camera, so its shapes cannot be turned")
-            self._relit = Relit(mi, self.packed, turn)
-            self._scene = scene
+            names = ", ".join(found)
             others = [e.id() or e.class_name() for e in scene.emitters() if not e.is_environment()]
             if others:
-                names = ", ".join(others)
-                _warn(mi, f"light of {names} does not reach the shapes of {self.file}, which know distant light only")
+                _warn(
+                    mi, f"light of {', '.join(others)} does not reach shapes of {names}: they know distant light only"
+                )
             if scene.environment() is None:
-                _warn(mi, f"without distant light the shapes of {self.file} are black")
+                _warn(mi, f"without distant light the shapes of {names} are black")
 
-        def _check_camera(self, ray: Any, held: Any) -> None:
-            view = self.packed.view
-            if not self.packed.toward_view or view is None:
-                return
-            eye = mi.Point3f(np.array(view.to_world)[:3, 3].tolist())
-            size = float(np.linalg.norm(np.ptp(self.packed.mesh.positions, axis=0)))
-            if dr.any(held & (dr.norm(dr.cross(eye - ray.o, ray.d)) > 1e-3 * size)):
-                raise UserError(f"{self.file}: holds transfer toward camera '{view.name}' alone; look from there")
-
-        def _behind_emitters(self, scene: Any, ray: Any, active: Any) -> Any:
+        def _behind_emitters(self, scene: Any, ray: Any, hit: Any, active: Any) -> Any:
             """What lies behind the shapes that emit light, as ``hide_emitters`` of ``direct`` has it."""
-
-            def skip(hit: Any) -> Any:
-                hidden = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None)) & active
-                si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-                return dr.select(hidden, self.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden), hit)
-
-            return skip
+            hidden = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None)) & active
+            si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
+            return dr.select(hidden, self.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden), hit)
 
     return SlepianPRT
 

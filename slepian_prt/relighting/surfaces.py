@@ -123,23 +123,29 @@ class Surfaces:
         """Copies of the handles: held, so that no other array gets the same index."""
         return [self._mi.Float(self._mi.traverse(shape)["vertex_positions"]) for shape, _ in self.meshes]
 
-    def meet(self, scene: Any, ray: Any, active: Any, skip_emitters: Any = None) -> tuple[Met, Any]:
-        """What rays meet of the surfaces, and the preliminary intersection."""
+    def meet(self, ray: Any, hit: Any, si: Any, active: Any) -> Met:
+        """What rays meet of the surfaces.
+
+        Parameters
+        ----------
+        ray : Ray3f
+        hit : PreliminaryIntersection3f of them with the scene
+        si : SurfaceInteraction3f, minimal, of the same
+        active : Bool
+        """
         dr, mi = _drjit(), self._mi
-        hit = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
-        if skip_emitters is not None:
-            hit = skip_emitters(hit)
-        si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, active & hit.is_valid())
+        active = active & hit.is_valid()
         number = dr.reinterpret_array(mi.UInt32, hit.shape)
-        known = active & hit.is_valid() & (number < dr.width(self._first_face))
-        first = dr.gather(mi.Int32, self._first_face, number, known)
-        held = known & (first >= 0) & (dr.dot(si.n, ray.d) < 0.0)
+        first = dr.gather(mi.Int32, self._first_face, number, active & (number < dr.width(self._first_face)))
+        first = dr.select(active & (number < dr.width(self._first_face)), first, -1)
+        facing = dr.dot(si.n, ray.d)
+        held = active & (first >= 0) & (facing < 0.0)
         face = mi.UInt32(first) + hit.prim_index
         u, v = mi.Float(hit.prim_uv.x), mi.Float(hit.prim_uv.y)
         if self._stand_in is not None:
             # From a little above what was met, back along the normal on the side that is seen.
-            seen = active & hit.is_valid() & ~(known & (first >= 0))
-            normal = dr.mulsign(si.n, -dr.dot(si.n, ray.d))
+            seen = active & (first < 0)
+            normal = dr.mulsign(si.n, -facing)
             probe = mi.Ray3f(si.p + self._apart * normal, -normal)
             probe.maxt = 2.0 * self._apart
             own = self._stand_in.ray_intersect_preliminary(probe, active=seen)
@@ -150,7 +156,7 @@ class Surfaces:
             u, v = dr.select(here, own.prim_uv.x, u), dr.select(here, own.prim_uv.y, v)
             held |= here
         vertices = tuple(dr.gather(mi.UInt32, corner, face, held) for corner in self._corners)
-        return Met(held, vertices, (1.0 - u - v, u, v)), hit
+        return Met(held, vertices, (1.0 - u - v, u, v))
 
     def _check_places(self, scene: Any, parts: list[Part], packed: CompressedTransfer, file: str) -> None:
         """Raise UserError unless the scene has a surface where each part is."""

@@ -1,0 +1,109 @@
+"""A transfer file in a Mitsuba scene: its surfaces, lit, where camera rays meet them."""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from slepian_prt.compression.compressed import CompressedTransfer, load
+from slepian_prt.errors import UserError
+from slepian_prt.relighting.emission import Relit
+from slepian_prt.relighting.surfaces import Surfaces
+
+
+@lru_cache(maxsize=8)
+def _loaded(path: str, _changed: int, _size: int) -> CompressedTransfer:
+    return load(path)
+
+
+def read_once(path: str) -> CompressedTransfer:
+    """A file, read once however many integrators and variants use it."""
+    if not os.path.isfile(path):
+        return load(path)  # which says what is wrong
+    state = os.stat(path)
+    return _loaded(path, state.st_mtime_ns, state.st_size)
+
+
+class Held:
+    """One file in the scene that was drawn last.
+
+    Attributes
+    ----------
+    name : str
+        Of the file.
+    packed : CompressedTransfer
+    albedo : TensorXf (V, 3)
+        What vertices reflect; may be changed, and followed by gradients.
+    """
+
+    def __init__(self, mi: Any, path: str) -> None:
+        self._mi = mi
+        self.name = os.path.basename(path)
+        self.packed = read_once(path)
+        self.albedo = mi.TensorXf(np.ascontiguousarray(self.packed.mesh.albedo, dtype=np.float32))
+        self._shapes: list[Any] = []
+        self._emitter: Any = None
+        self._surfaces: Any = None
+        self._relit: Any = None
+
+    def check_albedo(self) -> None:
+        """Raise UserError if its shape was changed."""
+        wanted = self.packed.mesh.albedo.shape
+        if self.albedo.shape != wanted:
+            raise UserError(f"albedo of {self.name} must have shape {wanted}, not {self.albedo.shape}")
+
+    def find(self, scene: Any) -> bool:
+        """Find the shapes of the file, again if another scene is drawn or vertices were moved; whether that was needed.
+
+        Raises
+        ------
+        UserError
+            As `Surfaces`; or transfer toward a camera in a model that is turned.
+        """
+        self._emitter = scene.environment()
+        # The scene itself is not held: it holds the integrator. Its shapes are, so that no others are taken for them.
+        shapes = list(scene.shapes())
+        same = self._surfaces is not None and [s.ptr for s in shapes] == [s.ptr for s in self._shapes]
+        if same and not self._surfaces.changed():
+            return False
+        self._surfaces = Surfaces(self._mi, scene, self.packed, self.name)
+        turn = self._surfaces.placement.rotation.T
+        if self.packed.toward_view and np.abs(turn - np.eye(3)).max() > 1e-4:
+            raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
+        self._relit = Relit(self._mi, self.packed, turn)
+        self._shapes = shapes
+        return True
+
+    def colour(self, ray: Any, hit: Any, si: Any, active: Any, *, reflected: bool) -> tuple[Any, Any]:
+        """Where rays meet the front of the surfaces, and linear sRGB radiance there.
+
+        The first arguments are those of `Surfaces.meet`. If not ``reflected``, the albedo is left out.
+        """
+        import drjit as dr
+
+        mi = self._mi
+        unlit = self._relit.under(self._emitter)
+        with dr.suspend_grad():  # geometry is not differentiated
+            met = self._surfaces.meet(ray, hit, si, active)
+            self._check_camera(ray, met.held)
+        colour = mi.Color3f(0.0)
+        for vertex, weight in zip(met.vertices, met.weights, strict=True):
+            lit = dr.gather(mi.Color3f, unlit, vertex, met.held)
+            if reflected:
+                lit *= dr.gather(mi.Color3f, self.albedo.array, vertex, met.held)
+            colour += weight * lit
+        return met.held, colour
+
+    def _check_camera(self, ray: Any, held: Any) -> None:
+        import drjit as dr
+
+        view = self.packed.view
+        if not self.packed.toward_view or view is None:
+            return
+        eye = self._mi.Point3f(np.array(view.to_world)[:3, 3].tolist())
+        size = float(np.linalg.norm(np.ptp(self.packed.mesh.positions, axis=0)))
+        if dr.any(held & (dr.norm(dr.cross(eye - ray.o, ray.d)) > 1e-3 * size)):
+            raise UserError(f"{self.name}: holds transfer toward camera '{view.name}' alone; look from there")
