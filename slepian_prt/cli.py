@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -292,62 +292,61 @@ def info(file: str, as_json: bool) -> None:
 @click.argument("file", type=click.Path())
 @click.option(
     "--environment",
+    multiple=True,
     type=click.Path(),
-    help="Map: .exr, .hdr or .png, twice as wide as high.  [default: the light of the .xml scene]",
+    help="Map: .exr, .hdr or .png, twice as wide as high; may be given several times.  "
+    "[default: the light of the .xml scene]",
 )
 @rotate_option
+@click.option("--turntable", type=int, metavar="N", help="N results, the light turned once about the up axis.")
+@click.option("--window", type=click.Choice(["hann", "lanczos"]), help="Damp high degrees, against ringing of suns.")
+@click.option(
+    "--window-width",
+    type=float,
+    metavar="L",
+    help="Degree that the window ends at.  [default: 0.1 % of vertices negative]",
+)
 @clamp_option
 @click.option("--width", type=int, help="Of a picture, in pixels.  [default: that of the scene's camera, or 800]")
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["png", "exr", "npz", "ply"]),
+    default="png",
+    show_default=True,
+    help="Of the files in a folder.",
+)
 @output_option
 def relight(
-    file: str, environment: str | None, rotate: float, clamp_negative: bool, width: int | None, output: str
+    file: str,
+    environment: tuple[str, ...],
+    rotate: float,
+    turntable: int | None,
+    window: str | None,
+    window_width: float | None,
+    clamp_negative: bool,
+    width: int | None,
+    kind: str,
+    output: str,
 ) -> None:
-    """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr)."""
-    from slepian_prt.compression import archive
+    """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr).
+
+    Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
+    """
     from slepian_prt.compression.compressed import load
-    from slepian_prt.relighting import outputs, picture
-    from slepian_prt.relighting.relight import negative_part
-    from slepian_prt.relighting.relight import relight as apply
-    from slepian_prt.scene.environments import about_up, project_environment, read_environment
-    from slepian_prt.sphere.rotation import rotate_sh
+    from slepian_prt.relighting.outputs import check_output
+    from slepian_prt.relighting.series import Lights, relit_series, write_relit
 
-    suffix = Path(output).suffix.lower()
-    if suffix not in outputs.SUFFIXES:
-        raise UserError(f"{output}: unknown kind of output '{suffix}'; name one of {', '.join(outputs.SUFFIXES)}")
+    lights = Lights(environment, rotate, turntable, window, window_width, clamp_negative)
+    lights.check()
     check_width(width)
-    archive.check_writable(output, file, *([environment] if environment else []))
+    check_output(output, file, *environment, several=lights.several)
     packed = load(file)
-    if environment is not None:
-        light = read_environment(environment, clamp_negative=clamp_negative)
-        if light.clamped:
-            note(f"{environment}: {light.clamped} negative texels set to zero")
-        lighting = project_environment(light, packed.bandlimit, rotate=rotate)
-    elif packed.lighting is not None:
-        lighting = rotate_sh(packed.lighting, about_up(rotate))
-    else:
-        raise UserError(f"{file}: the scene has no light of its own; name a map with --environment")
-    radiance = apply(packed, lighting)
-    negative = negative_part(radiance)
-    if negative > 0.0:
-        note(f"{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit)")
-    if suffix == ".npz":
-        outputs.write_radiance(output, packed.mesh, radiance)
-    elif suffix == ".ply":
-        scale = outputs.write_coloured_mesh(output, packed.mesh, radiance)
-        note(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
-    else:
-        from slepian_prt.scene.loading import open_scene
-
-        with open_scene(packed.mesh) as (mi, scene):
-            scene = replace(scene, view=packed.view)
-            if packed.view is None and width is None:
-                width = 800
-            camera = picture.trace_camera(mi, scene, width)
-        if not camera.alpha.any():
-            note(f"{output}: the camera sees no front of any surface; the picture is empty")
-        picture.write_picture(output, camera.picture(radiance))
-    shone = Path(environment).name if environment is not None else "the light of the scene"
-    click.echo(f"{output}: {len(radiance)} vertices under {shone}")
+    series = relit_series(packed, lights, file, note)
+    write_relit(output, packed, series, f".{kind}", width, note)
+    shone = ", ".join(Path(path).name for path in environment) or "the light of the scene"
+    several = f", {len(series.names)} results" if lights.several else ""
+    click.echo(f"{output}: {len(packed.mesh.positions)} vertices under {shone}{several}")
 
 
 @cli.command()
@@ -383,6 +382,7 @@ def compare(
 
     The light of adapted+light is the mean spectrum of the maps.
     """
+    from slepian_prt.compression.archive import check_folder
     from slepian_prt.compression.settings import Settings
     from slepian_prt.evaluation import report
     from slepian_prt.evaluation.compare import DEFAULT_TERMS
@@ -398,7 +398,7 @@ def compare(
     for k in terms:
         Settings(terms=k).check(job.bandlimit)
     check_width(width)
-    report.check_folder(output)
+    check_folder(output)
     maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]
     names = [light.name for light in maps]
     if len(set(names)) < len(names):

@@ -142,6 +142,26 @@ def check_writable(path: str | Path, *inputs: str | Path) -> None:
         raise UserError(f"{path}: the folder {folder} is not writable; choose another folder for the output")
 
 
+def check_folder(folder: str | Path) -> None:
+    """Raise UserError now, not after the heavy work, if a folder that need not be there yet cannot be written to."""
+    if not str(folder):
+        raise UserError("the name of the output folder is empty; name a folder")
+    folder = Path(folder)
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    try:
+        if not existing.is_dir():
+            raise UserError(f"{folder}: {existing} is not a folder; choose another")
+        probe = existing / f".slepian-prt-{os.getpid():x}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UserError(
+            f"{folder}: cannot be written to ({error.strerror or error}); choose another folder for the output"
+        ) from None
+
+
 def _add(container: zipfile.ZipFile, name: str, content: bytes, compression: int) -> None:
     information = zipfile.ZipInfo(name, _EPOCH)
     information.compress_type = compression

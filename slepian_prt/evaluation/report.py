@@ -66,26 +66,6 @@ _GROUPED_BY = {
 _ERROR_SCALE = 0.25  # the end of the colour scale of error maps, relative to the mean luminance
 
 
-def check_folder(folder: str | Path) -> None:
-    """Raise UserError now if the report could not be written there, rather than after the heavy work."""
-    if not str(folder):
-        raise UserError("the name of the output folder is empty; name a folder")
-    folder = Path(folder)
-    existing = folder
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
-    try:
-        if not existing.is_dir():
-            raise UserError(f"{folder}: {existing} is not a folder; choose another")
-        probe = existing / f".slepian-prt-{np.random.default_rng().integers(1 << 32):x}"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UserError(
-            f"{folder}: cannot be written to ({error.strerror or error}); choose another folder for the output"
-        ) from None
-
-
 def write_report(comparison: Comparison, folder: str | Path, command: str) -> Path:
     """Write report.html, results.json and the figures; return the path of the report.
 

@@ -137,8 +137,10 @@ def to_srgb(picture: Picture, scale: float = 1.0, background: float = 1.0) -> ND
     return (np.clip(encoded, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
-def write_picture(path: str | Path, picture: Picture) -> None:
+def write_picture(path: str | Path, picture: Picture, scale: float | None = None) -> None:
     """Write ``.exr`` (linear radiance and alpha, float32) or ``.png`` (tone-mapped, transparent background).
+
+    ``scale`` is the exposure of a ``.png``, by default that of `exposure`.
 
     Raises
     ------
@@ -156,7 +158,7 @@ def write_picture(path: str | Path, picture: Picture) -> None:
                 (picture.radiance / np.maximum(picture.alpha, 1e-4)[..., None]).astype(np.float32),
                 np.ones_like(picture.alpha),
             ),
-            exposure(picture),
+            exposure(picture) if scale is None else scale,
         )
         opacity = (picture.alpha * 255.0 + 0.5).astype(np.uint8)
         bitmap = mi.Bitmap(np.dstack([colour, opacity]), pixel_format=_rgba(mi))

@@ -4,12 +4,13 @@ import re
 import numpy as np
 import pytest
 
+from slepian_prt.compression.archive import check_folder
 from slepian_prt.compression.settings import Settings
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.errors import error_map, relative_rms
 from slepian_prt.evaluation.methods import METHODS
-from slepian_prt.evaluation.report import check_folder, write_report
+from slepian_prt.evaluation.report import write_report
 from slepian_prt.relighting.picture import Picture
 from slepian_prt.scene.environments import make_environment
 from slepian_prt.transport.transfer import Job
