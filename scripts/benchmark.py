@@ -5,10 +5,17 @@ from __future__ import annotations
 import sys
 
 from benchmarks.compression import compression
+from benchmarks.relighting import relighting
 from benchmarks.sphere import sphere
 from benchmarks.transport import dragons, transport
 
-BENCHMARKS = {"sphere": sphere, "compression": compression, "transport": transport, "dragons": dragons}
+BENCHMARKS = {
+    "sphere": sphere,
+    "compression": compression,
+    "transport": transport,
+    "relighting": relighting,
+    "dragons": dragons,
+}
 
 
 def main() -> None:

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# Of scripts/fetch_dragons.
+DRAGONS = ROOT / "downloads" / "stanford-dragon"
 
 # Of a Linux process since its start; ru_maxrss would include what its parent had used.
 PEAK_MEMORY = "next(f'{int(x.split()[1]) / 1024:.0f} MB' for x in open('/proc/self/status') if x.startswith('VmHWM'))"
+
+
+def data_folder() -> Path:
+    """Meshes and environments."""
+    return Path(os.environ.get("SLEPIAN_PRT_DATA") or ROOT.parent / "shared" / "data")
 
 
 def median_seconds(work: Callable[[], object], runs: int = 5) -> float:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import time
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from benchmarks.common import data_folder
 
 import slepian_prt as sp
 from slepian_prt.compression.baselines import haar_transfer
@@ -24,7 +25,7 @@ SKY = {"type": "sunsky", "sun_scale": 0.0, "sun_direction": [0.75, 0.75, 0.55]}
 
 def compression() -> None:
     """Figures asked of compression: predictions, ratios to SH and PCA, bytes at 5 % and 2 %, light priors, time."""
-    data = Path(os.environ.get("SLEPIAN_PRT_DATA", ""))
+    data = data_folder()
     if not (data / "meshes").is_dir():
         print("SLEPIAN_PRT_DATA must name the folder of scanned meshes and maps; compression is left out")
         return

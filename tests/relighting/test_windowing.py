@@ -12,7 +12,7 @@ from tests.conftest import bumpy, sphere
 
 @pytest.fixture(scope="module")
 def sun():
-    texels = np.full((256, 512, 3), 0.02)
+    texels = np.full((256, 512, 3), 0.001)
     texels[60:64, 100:104] = 500.0
     return project_environment(texels, 3)
 
