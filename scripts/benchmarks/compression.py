@@ -6,10 +6,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from benchmarks.common import data_folder
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-
-from benchmarks.common import data_folder
 
 import slepian_prt as sp
 from slepian_prt.compression.baselines import haar_transfer
