@@ -83,33 +83,34 @@ class TransferOperator:
         ]
         self._functions = np.concatenate([part.functions for part in parts]).astype(np.float32)
         self._ranks = np.concatenate([[0], np.cumsum([part.functions.shape[0] for part in parts])])
-        self._starts = np.concatenate([[0], np.cumsum([len(block) for block in self._blocks])])
-        self._order = np.concatenate(members)
-        self._place = np.empty_like(self._order)
-        self._place[self._order] = np.arange(self._order.size)
+        self._members = list(members)
 
     @property
     def size(self) -> int:
-        """Numbers that are read for each light."""
-        return sum(block.size for block in self._blocks)
+        """Numbers that are read for each light: coefficients and functions."""
+        return sum(block.size for block in self._blocks) + self._functions.size
 
     def apply(self, lighting: NDArray) -> NDArray[np.float32]:
         """(B, V, 3) radiance for unit albedo under B lightings (B, 3, (L+1)²)."""
         count = len(lighting)
         lit = self._lit(lighting)
-        along = np.empty((self._order.size, 3 * count), dtype=np.float32)
-        for c, block in enumerate(self._blocks):
-            _product(block, lit[self._ranks[c] : self._ranks[c + 1]], along[self._starts[c] : self._starts[c + 1]])
-        return np.moveaxis(np.take(along, self._place, axis=0, mode="clip").reshape(-1, count, 3), 1, 0)
+        # Rows of whole 16 bytes go to their vertices at the speed of a copy; others take several times as long.
+        width = -(-3 * count // 4) * 4
+        lit = np.pad(lit, ((0, 0), (0, width - 3 * count)))
+        rows = np.empty((sum(members.size for members in self._members), width), dtype=np.float32)
+        wide = rows.view(np.complex128).reshape(len(rows), *(() if width == 4 else (width // 4,)))
+        for c, (block, members) in enumerate(zip(self._blocks, self._members, strict=True)):
+            product = _product(block, lit[self._ranks[c] : self._ranks[c + 1]], 3 * count)
+            wide[members] = product.view(np.complex128).reshape(len(product), *wide.shape[1:])
+        return np.moveaxis(rows[:, : 3 * count].reshape(-1, count, 3), 1, 0)
 
     def adjoint(self, gradient: NDArray) -> NDArray[np.float64]:
         """(B, 3, (L+1)²) from gradients (B, V, 3) of radiance: the transpose of `apply`."""
         count = len(gradient)
-        given = np.moveaxis(np.asarray(gradient, dtype=np.float32), 0, 1)
-        along = np.take(given.reshape(-1, 3 * count), self._order, axis=0)
+        given = np.moveaxis(np.asarray(gradient, dtype=np.float32), 0, 1).reshape(-1, 3 * count)
         lit = np.empty((int(self._ranks[-1]), 3 * count), dtype=np.float32)
-        for c, block in enumerate(self._blocks):
-            lit[self._ranks[c] : self._ranks[c + 1]] = block.T @ along[self._starts[c] : self._starts[c + 1]]
+        for c, (block, members) in enumerate(zip(self._blocks, self._members, strict=True)):
+            lit[self._ranks[c] : self._ranks[c + 1]] = block.T @ given[members]
         by_light = lit.reshape(-1, count, 3).astype(np.float64)
         channels, size = self._functions.shape[1:]
         result = np.empty((count, 3, size))
@@ -129,10 +130,11 @@ class TransferOperator:
         return lit.reshape(len(self._functions), -1)
 
 
-def _product(block: NDArray[np.float32], lit: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    """(n, r) times (r, k) into ``out``."""
-    if block.shape[1] < _LONG or lit.shape[1] > 3:
-        np.matmul(block, lit, out=out)
-        return
-    for column in range(lit.shape[1]):
-        out[:, column] = block @ np.ascontiguousarray(lit[:, column])
+def _product(block: NDArray[np.float32], lit: NDArray[np.float32], columns: int) -> NDArray[np.float32]:
+    """(n, r) times (r, k), of which only the first ``columns`` matter."""
+    if block.shape[1] < _LONG or columns > 3:
+        return np.asarray(block @ lit)
+    product = np.empty((len(block), lit.shape[1]), dtype=np.float32)
+    for column in range(columns):
+        product[:, column] = block @ np.ascontiguousarray(lit[:, column])
+    return product
