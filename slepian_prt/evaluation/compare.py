@@ -19,6 +19,7 @@ from slepian_prt.compression.grouping import grouped
 from slepian_prt.compression.settings import Settings
 from slepian_prt.errors import UserError, check_terms
 from slepian_prt.evaluation.errors import relative_rms, seam
+from slepian_prt.evaluation.ladder import Rung, Stage, ladder
 from slepian_prt.evaluation.methods import DEFAULT_METHODS, Entry, check_methods, entries
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
 from slepian_prt.relighting.picture import Camera, Picture, trace_camera
@@ -55,18 +56,6 @@ class Method:
     seam_within: float | None
     compress_seconds: float
     relight_seconds: float
-
-
-@dataclass(frozen=True)
-class Rung:
-    """One step from the path-traced picture to the compressed one; the fields of ``ladder`` in results.json."""
-
-    environment: str
-    stage: str
-    error: float
-    against: str
-    noise: float
-    seconds: float
 
 
 @dataclass(frozen=True)
@@ -202,11 +191,22 @@ def compare(
         ]
     shown = min(wanted, key=lambda k: abs(k - 16))
     measured = []
+    lossy: dict[str, tuple[str, Entry]] = {}
     for entry in entries(transfer, made, methods, wanted, lighting, status):
         measured.append(_measure(entry, transfer, lighting, full, views, camera))
+        if entry.method == methods[0] and (entry.asked == shown or entry.coding == "coded"):
+            # Of the coded ones the last, which is the most exact.
+            title = f"{entry.method}, {entry.terms:.3g} functions" + (", coded" if entry.coding == "coded" else "")
+            lossy[entry.coding] = (title, entry)
         if entry.asked == shown:
             for seen, light in zip(views, lighting, strict=True):
                 seen.compressed[entry.method] = camera.picture(entry.made.radiance(light))
+    status("ladder")
+    rungs: list[Rung] = []
+    for view, radiance, light in zip(views, full, lighting, strict=True):
+        stages = _stages(transfer, view, radiance, list(lossy.values()), light)
+        drawn = view.reference
+        rungs += ladder(view.environment.name, drawn.picture, drawn.noise, drawn.seconds, camera, stages)
     angles = [cap.half_angle for cap in clusters.caps]
     return Comparison(
         transfer,
@@ -214,7 +214,7 @@ def compare(
         len(clusters.caps),
         (min(angles), max(angles)),
         tuple(measured),
-        tuple(_ladder(transfer, views, full, measured, shown)),
+        tuple(rungs),
         tuple(views),
         shown,
         {e.name: negative_part(radiance) for e, radiance in zip(environments, full, strict=True)},
@@ -281,55 +281,18 @@ def _measure(
     )
 
 
-def _ladder(
-    transfer: Transfer,
-    views: list[View],
-    full: list[NDArray],
-    methods: list[Method],
-    shown: int,
-) -> list[Rung]:
-    """For each environment: what interpolation, bandlimit and truncation each cost, in the picture and in seconds."""
-    rungs = []
-    for view, radiance in zip(views, full, strict=True):
-        name, reference = view.environment.name, view.reference
-        in_picture = "path-traced picture"
-        rungs += [
-            Rung(name, "path-traced picture", 0.0, in_picture, reference.noise, reference.seconds),
-            Rung(
-                name,
-                "radiance at the vertices, no bandlimit, interpolated",
-                relative_rms(view.interpolated.radiance, reference.picture.radiance),
-                in_picture,
-                float(np.hypot(reference.noise, view.vertices.noise)),
-                view.vertices.seconds,
-            ),
-            Rung(
-                name,
-                f"full SH, bandlimit {transfer.bandlimit}",
-                relative_rms(view.full.radiance, reference.picture.radiance),
-                in_picture,
-                reference.noise,
-                transfer.seconds["transport"],
-            ),
-            Rung(
-                name,
-                f"full SH, bandlimit {transfer.bandlimit}",
-                relative_rms(radiance, view.vertices.radiance),
-                "radiance at the vertices",
-                view.vertices.noise,
-                transfer.seconds["transport"],
-            ),
-        ]
-        rungs += [
-            Rung(
-                name,
-                f"{method.basis}, {method.terms:g} terms",
-                method.image_error[name],
-                in_picture,
-                reference.noise,
-                method.compress_seconds,
-            )
-            for method in methods
-            if method.terms == shown and method.basis != "none" and method.coding != "coded"
-        ]
-    return rungs
+def _stages(
+    transfer: Transfer, view: View, full: NDArray, lossy: Sequence[tuple[str, Entry]], light: NDArray
+) -> list[Stage]:
+    """From radiance without a bandlimit down to coded coefficients, under one environment."""
+    reference, size = view.vertices, 2.0 * transfer.vectors[0].size
+    traced = sum(value for stage, value in transfer.seconds.items() if stage not in ("load", "plan"))
+    name = f"full SH, bandlimit {transfer.bandlimit}"
+    return [
+        Stage("radiance at the vertices, no bandlimit", reference.radiance, reference.noise, reference.seconds, None),
+        Stage(name, full, 0.0, traced, size),
+        *(
+            Stage(title, entry.made.radiance(light), 0.0, entry.seconds, entry.made.bytes_per_vertex)
+            for title, entry in lossy
+        ),
+    ]

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import Comparison, Method, View
 from slepian_prt.evaluation.errors import error_map
+from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE
 from slepian_prt.relighting.picture import Picture, exposure, to_srgb
 
 # Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
@@ -373,10 +374,12 @@ def _findings(comparison: Comparison) -> list[str]:
     for view in comparison.views:
         name = view.environment.name
         rungs = [r for r in comparison.ladder if r.environment == name]
+        seen = [r for r in rungs if r.against == IN_PICTURE]
+        known = [r for r in rungs if r.against == AT_VERTICES]
         found.append(
-            f"Under {name}, full SH differs from the path-traced picture by {_percent(rungs[2].error)} (noise of the "
-            f"reference {_percent(rungs[0].noise)}): {_percent(rungs[1].error)} is there without any bandlimit, from "
+            f"Under {name}, full SH differs from the path-traced picture by {_percent(seen[2].error)} (noise of the "
+            f"reference {_percent(seen[0].noise)}): {_percent(seen[1].error)} is there without any bandlimit, from "
             f"interpolating between vertices, and the bandlimit changes the radiance at the vertices by "
-            f"{_percent(rungs[3].error)}."
+            f"{_percent(known[1].error)}."
         )
     return found
