@@ -32,7 +32,7 @@ DEGREE, BANDLIMIT = 5, 10
 WIDTH, SAMPLES, STEPS = 160, 16, 60
 MAP_ROWS = 65
 # Belief that light falls with the degree, against what one picture does not show: the light from behind.
-PRIOR = 1e-4
+PRIOR = 2e-6
 
 
 def main(mesh: Path, environment: Path) -> None:
@@ -83,7 +83,7 @@ def main(mesh: Path, environment: Path) -> None:
     start = np.zeros(3 * size)
     start[::size] = 3.5
     begin = time.perf_counter()
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": STEPS, "ftol": 1e-7})
     seconds = time.perf_counter() - begin
     light = found.x.reshape(3, size) * brightness
     parameters["emitter.data"] = mi.TensorXf(texels_of(light))
@@ -103,12 +103,12 @@ def model(mi: object, mesh: Path) -> dict[str, object]:
     loaded = sp.read_mesh(mesh)
     low, high = loaded.positions.min(axis=0), loaded.positions.max(axis=0)
     middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-    eye = middle + size * np.array([0.45, 0.2, 1.55])
+    eye = middle + size * np.array([0.4, 0.2, 1.15])
     return {
         "mesh": {"type": mesh.suffix[1:], "filename": str(mesh),
                  "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}},
         "sensor": {
-            "type": "perspective", "fov": 36,
+            "type": "perspective", "fov": 39,
             "to_world": mi.ScalarTransform4f().look_at(eye.tolist(), middle.tolist(), [0, 1, 0]),
             "film": {"type": "hdrfilm", "width": WIDTH, "height": WIDTH, "pixel_format": "rgb",
                      "rfilter": {"type": "box"}},
@@ -121,7 +121,7 @@ def draw_target(mi: object, mesh: Path, environment: Path) -> np.ndarray:
     scene = mi.load_dict(
         {"type": "scene", **model(mi, mesh), "emitter": {"type": "envmap", "bitmap": mi.Bitmap(texels)}}
     )
-    return mi.render(scene, integrator=mi.load_dict({"type": "direct", "hide_emitters": True}), spp=256).numpy()
+    return mi.render(scene, integrator=mi.load_dict({"type": "direct", "hide_emitters": True}), spp=1024).numpy()
 
 
 def show(target: np.ndarray, again: np.ndarray, truth: np.ndarray, found: np.ndarray) -> None:
