@@ -400,9 +400,7 @@ def compare(
     check_width(width)
     check_folder(output)
     maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]
-    names = [light.name for light in maps]
-    if len(set(names)) < len(names):
-        raise UserError(f"environments must have different names, not {', '.join(names)}; rename one of the files")
+    check_names(maps)
     for path, light in zip(environment, maps, strict=True):
         if light.clamped:
             note(f"{path}: {light.clamped} negative texels set to zero")
@@ -423,6 +421,98 @@ def compare(
     page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]))
     lights = f"{len(comparison.views)} environment{'s' if len(comparison.views) > 1 else ''}"
     click.echo(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
+
+
+def _numbers(kind: type, text: str, name: str) -> tuple[Any, ...]:
+    """Values with commas between."""
+    try:
+        return tuple(kind(part) for part in text.split(","))
+    except ValueError:
+        raise UserError(f"--{name} must be numbers with commas between, not {text!r}") from None
+
+
+@cli.command()
+@scene_argument
+@click.option("--environment", multiple=True, required=True, type=click.Path(), help="Map; may be given several times.")
+@click.option("-o", "--output", required=True, type=click.Path(), help="Folder for sweep.html, .json, .csv, plots.")
+@click.option("--samples", default="64,256,1024", show_default=True, metavar="N,…", help="Rays per vertex.")
+@click.option("--bandlimit", default="5,10", show_default=True, metavar="L,…", help="Highest degrees.")
+@click.option("--clusters", default="96", show_default=True, metavar="N,…", help="Numbers of caps.")
+@click.option("--basis", default="adapted", show_default=True, metavar="NAME,…", help="Functions to compress with.")
+@click.option("--tolerance", default="0.2,0.05,0.02", show_default=True, metavar="E,…", help="Of compression.")
+@effects_option
+@bounces_option
+@albedo_option
+@seed_option
+@rotate_option
+@clamp_option
+@click.option("--noise", default=0.005, show_default=True, help="Wanted relative noise of the references.")
+def sweep(
+    scene: str,
+    environment: tuple[str, ...],
+    output: str,
+    samples: str,
+    bandlimit: str,
+    clusters: str,
+    basis: str,
+    tolerance: str,
+    effects: str,
+    bounces: int | None,
+    albedo: str | None,
+    seed: int,
+    rotate: float,
+    clamp_negative: bool,
+    noise: float,
+) -> None:
+    """Accuracy against time and bytes on SCENE: every combination of settings, measured.
+
+    Stopped or killed, the same command goes on from the settings that were finished.
+    """
+    from slepian_prt.compression.archive import check_folder
+    from slepian_prt.evaluation import sweep as sweeping
+    from slepian_prt.evaluation.sweep_report import describe, write_sweep
+    from slepian_prt.scene.environments import read_environment
+    from slepian_prt.transport.transfer import Job
+
+    axes = sweeping.Axes(
+        _numbers(int, samples, "samples"),
+        _numbers(int, bandlimit, "bandlimit"),
+        _numbers(int, clusters, "clusters"),
+        tuple(basis.split(",")),
+        _numbers(float, tolerance, "tolerance"),
+    )
+    axes.check()
+    job = Job(effects=effects, bounces=bounces, albedo=read_albedo(albedo), seed=seed)
+    check_noise(noise)
+    check_folder(output)
+    maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]
+    check_names(maps)
+    for path, light in zip(environment, maps, strict=True):
+        if light.clamped:
+            note(f"{path}: {light.clamped} negative texels set to zero")
+    folder = Path(output)
+    folder.mkdir(parents=True, exist_ok=True)
+    with progress("settings", "settings") as (advance, tell):
+        found = sweeping.sweep(
+            scene, maps, axes, job, noise=noise, journal=folder / "sweep.partial.jsonl", tell=tell, advance=advance,
+            on_plan=print_plan,
+        )  # fmt: skip
+    page = write_sweep(found, output, "slepian-prt " + shlex.join(sys.argv[1:]))
+    for sentence in sweeping.findings(found):
+        note(sentence)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("environment", "not beaten in time", "error", "seconds", "bytes/vertex"):
+        table.add_column(heading, justify="left" if heading in ("environment", "not beaten in time") else "right")
+    for row in describe(found):
+        table.add_row(
+            row["environment"],
+            row["setting"],
+            f"{row['error']:.1%}",
+            f"{row['seconds']:.2g}",
+            f"{row['bytes_per_vertex']:.3g}",
+        )
+    print_table(table)
+    click.echo(f"{page}: {len(found.points)} settings")
 
 
 # --- Terminal --------------------------------------------------------------------------------------------------------
@@ -479,6 +569,11 @@ def print_plan(effects: Sequence[Any]) -> None:
         if effect.confidence:
             amount += f" ± {effect.confidence:.3f}"
         table.add_row(effect.name, effect.verdict, amount, _rays(effect.rays), effect.reason)
+    print_table(table)
+
+
+def print_table(table: Table) -> None:
+    """To standard output; in a pipe as wide as it needs."""
     console = Console()
     if not console.is_terminal:
         console = Console(width=200)
@@ -531,6 +626,19 @@ def check_width(width: int | None) -> None:
     """Raise UserError unless a picture of that width is sensible."""
     if width is not None and not 16 <= width <= 8192:
         raise UserError(f"width must be between 16 and 8192 pixels, not {width}")
+
+
+def check_names(maps: Sequence[Any]) -> None:
+    """Raise UserError unless results under the maps can be told apart."""
+    names = [light.name for light in maps]
+    if len(set(names)) < len(names):
+        raise UserError(f"environments must have different names, not {', '.join(names)}; rename one of the files")
+
+
+def check_noise(noise: float) -> None:
+    """Raise UserError unless references can be that exact."""
+    if not (math.isfinite(noise) and noise > 0.0):
+        raise UserError(f"noise must be a positive number, not {noise!r}")
 
 
 class _Notes(logging.Handler):

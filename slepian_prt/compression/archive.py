@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import os
+import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -159,6 +160,22 @@ def check_folder(folder: str | Path) -> None:
     except OSError as error:
         raise UserError(
             f"{folder}: cannot be written to ({error.strerror or error}); choose another folder for the output"
+        ) from None
+
+
+def write_all(folder: Path, files: dict[str, bytes]) -> None:
+    """All files or, if one cannot be written, none: they are put into place when all are on the disk."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as partial:
+            for name, content in files.items():
+                (Path(partial) / name).write_bytes(content)
+            folder.mkdir(exist_ok=True)
+            for name in files:
+                (Path(partial) / name).replace(folder / name)
+    except OSError as error:
+        raise UserError(
+            f"{folder}: cannot be written ({error.strerror or error}); choose another folder for the output"
         ) from None
 
 

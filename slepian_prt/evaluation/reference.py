@@ -90,27 +90,30 @@ def vertex_reference(
     bounces: int = 0,
     view: View | None = None,
     seed: int = 0,
+    vertices: NDArray[np.int64] | None = None,
 ) -> ReferenceVertices:
     """Radiance at the vertices by light sampling and cosine sampling, combined by the balance heuristic.
 
     What the cosine samples see of other surfaces is path-traced by Mitsuba, with one bounce less. Of transfer toward
     ``view`` the radiance that leaves toward that camera, path-traced.
 
-    Uses the same ray origins as the transfer, so that what differs from full SH is the bandlimit (and sampling).
+    Uses the same ray origins as the transfer, so that what differs from full SH is the bandlimit (and sampling). Of
+    some ``vertices`` alone those inside other geometry stay black.
     """
     started = time.perf_counter()
+    chosen = np.arange(len(scene.mesh.positions)) if vertices is None else vertices
     lit = mitsuba_scene(mi, scene, emitter=environment_emitter(mi, environment))
 
     def half(samples: int, number: int) -> NDArray[np.float64]:
         own = 65537 * seed + number
         if view is not None:
-            return _sample_toward(mi, scene, lit, view, samples, own, bounces)
-        return _sample_vertices(mi, scene, lit, samples, own, bounces)
+            return _sample_toward(mi, scene, lit, view, samples, own, bounces)[chosen]
+        return _sample_vertices(mi, scene, lit, chosen, samples, own, bounces)
 
     first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values)
-    albedo = scene.mesh.albedo if view is None else 1.0
+    albedo = scene.mesh.albedo[chosen] if view is None else 1.0
     mean = 0.5 * (first + second)
-    if view is None:
+    if view is None and vertices is None:
         # What transport does for vertices inside other geometry.
         borrow(mi, scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers)).fill(mean)
     radiance = (mean * albedo).astype(np.float32)
@@ -137,19 +140,21 @@ def _converge(
         samples, seed = min(largest, max(2 * per_half, 4 * samples)), seed + 2
 
 
-def _sample_vertices(mi: Any, scene: Scene, lit: Any, samples: int, seed: int, bounces: int) -> NDArray[np.float64]:
-    """(V, 3) estimates for unit albedo, ``samples`` light and ``samples`` cosine samples per vertex."""
+def _sample_vertices(
+    mi: Any, scene: Scene, lit: Any, vertices: NDArray[np.int64], samples: int, seed: int, bounces: int
+) -> NDArray[np.float64]:
+    """(n, 3) estimates for unit albedo, ``samples`` light and ``samples`` cosine samples per vertex."""
     import drjit as dr
 
-    count = len(scene.mesh.positions)
+    count = len(vertices)
     total = np.zeros((count, 3))
     rng = np.random.default_rng(seed)
     block = max(1, (1 << 21) // samples)
     for begin in range(0, count, block):
         chosen = slice(begin, min(begin + block, count))
         size = chosen.stop - chosen.start
-        normals = scene.mesh.normals[chosen]
-        origins = scene.ray_origins[chosen]
+        normals = scene.mesh.normals[vertices[chosen]]
+        origins = scene.ray_origins[vertices[chosen]]
         origin, normal = mi.Point3f(origins.T.astype(np.float32)), mi.Normal3f(normals.T.astype(np.float32))
         lane = dr.arange(mi.UInt32, size * samples)
         vertex = lane // dr.opaque(mi.UInt32, samples)

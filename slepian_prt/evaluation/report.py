@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import math
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,12 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from slepian_prt.errors import UserError
+from slepian_prt.compression.archive import write_all
+from slepian_prt.evaluation import plots
 from slepian_prt.evaluation.compare import Comparison, Method, View
 from slepian_prt.evaluation.errors import error_map
 from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE
+from slepian_prt.evaluation.plots import percent, seconds
 from slepian_prt.relighting.picture import Picture, exposure, to_srgb
 
 # Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
@@ -90,24 +91,8 @@ def write_report(comparison: Comparison, folder: str | Path, command: str) -> Pa
                 files[f"{view['environment']}_{second}.png"] = panel["error_png"]
     files["results.json"] = (json.dumps(comparison.results(), indent=1) + "\n").encode()
     files["report.html"] = html.encode()
-    _write_all(folder, files)
+    write_all(folder, files)
     return folder / "report.html"
-
-
-def _write_all(folder: Path, files: dict[str, bytes]) -> None:
-    """All files or, if one cannot be written, none: they are put into place when all are on the disk."""
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as partial:
-            for name, content in files.items():
-                (Path(partial) / name).write_bytes(content)
-            folder.mkdir(exist_ok=True)
-            for name in files:
-                (Path(partial) / name).replace(folder / name)
-    except OSError as error:
-        raise UserError(
-            f"{folder}: cannot be written ({error.strerror or error}); choose another folder for the output"
-        ) from None
 
 
 # --- Pictures --------------------------------------------------------------------------------------------------------
@@ -141,7 +126,7 @@ def _view_pictures(comparison: Comparison, view: View) -> dict[str, Any]:
             errors = error_map(picture, against)[crop]
             panel["error_png"] = _error_png(errors)
             mean = float(np.nanmean(errors)) if np.isfinite(errors).any() else 0.0
-            panel["error_title"] = f"its difference from {name}, {_percent(mean)} on average"
+            panel["error_title"] = f"its difference from {name}, {percent(mean)} on average"
         else:
             panel["error_png"], panel["error_title"] = _map_png(view), f"the environment map {view.environment.name}"
             panel["error_file"] = "map"
@@ -198,18 +183,6 @@ def _error_png(errors: NDArray) -> bytes:
 # --- Plots -----------------------------------------------------------------------------------------------------------
 
 
-def _figure(columns: int = 1) -> tuple[Any, Any]:
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False})
-    return plt.subplots(1, columns, figsize=(7.2 if columns == 1 else 5.4 * columns, 4.6), squeeze=False)
-
-
-def _finish(figure: Any) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
-    plt.close(figure)
-    return buffer.getvalue()
-
-
 def _curves(comparison: Comparison, *, coded: bool = False) -> dict[tuple[str, bool], list[Method]]:
     """Methods by basis, those cut to K functions and, if wanted, apart from them those that are coded."""
     curves: dict[tuple[str, bool], list[Method]] = {}
@@ -222,7 +195,7 @@ def _curves(comparison: Comparison, *, coded: bool = False) -> dict[tuple[str, b
 
 def _error_plot(comparison: Comparison, abscissa: str) -> bytes:
     """Transfer error against functions (with predictions), or mean relit error against bytes."""
-    figure, axes = _figure()
+    figure, axes = plots.figure()
     axis = axes[0, 0]
     by_terms = abscissa == "terms"
     for (basis, coded), methods in _curves(comparison, coded=not by_terms).items():
@@ -234,7 +207,7 @@ def _error_plot(comparison: Comparison, abscissa: str) -> bytes:
         if by_terms and basis == "adapted":
             predicted = [m.predicted_error for m in methods]
             axis.plot(x, predicted, "+", color="black", markersize=11, label="predicted for adapted", zorder=5)
-    _logarithmic(axis)
+    plots.logarithmic(axis)
     if by_terms:
         axis.set_xlabel("functions per vertex, K")
         axis.set_ylabel("relative error of the transfer vectors")
@@ -245,14 +218,14 @@ def _error_plot(comparison: Comparison, abscissa: str) -> bytes:
         axis.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
         axis.set_xlabel("bytes per vertex, everything but the mesh counted")
         axis.set_ylabel("relative error of relit radiance (mean)")
-    _decorate(axis)
-    _legend(axis)
-    return _finish(figure)
+    plots.decorate(axis)
+    plots.legend(axis)
+    return plots.finish(figure)
 
 
 def _relit_plot(comparison: Comparison) -> bytes:
     names = [view.environment.name for view in comparison.views]
-    figure, axes = _figure(len(names))
+    figure, axes = plots.figure(len(names))
     for axis, name in zip(axes[0], names, strict=True):
         for (basis, _), methods in _curves(comparison).items():
             colour, marker, dash = STYLES[basis]
@@ -266,35 +239,14 @@ def _relit_plot(comparison: Comparison) -> bytes:
                 linewidth=1.8,
                 markersize=6,
             )
-        _logarithmic(axis)
+        plots.logarithmic(axis)
         axis.set_title(name)
         axis.set_xlabel("functions per vertex, K")
         axis.set_ylabel("relative error of relit radiance")
-        _decorate(axis)
+        plots.decorate(axis)
     figure.tight_layout()
-    _legend(axes[0, -1])
-    return _finish(figure)
-
-
-def _logarithmic(axis: Any) -> None:
-    """A logarithmic ordinate, unless all errors are zero."""
-    if any(np.any(np.asarray(curve.get_ydata()) > 0.0) for curve in axis.get_lines()):
-        axis.set_yscale("log")
-
-
-def _legend(axis: Any) -> None:
-    axis.legend(frameon=False, fontsize=10, loc="upper left", bbox_to_anchor=(1.01, 1.0))
-
-
-def _decorate(axis: Any) -> None:
-    axis.grid(True, which="both", color="#dddddd", linewidth=0.6)
-    axis.set_axisbelow(True)
-    formatter = matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %")
-    axis.yaxis.set_major_formatter(formatter)
-    low, high = axis.get_ylim()
-    if axis.get_yscale() == "log" and high / max(low, 1e-300) < 300.0:  # few decades: label between them too
-        axis.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
+    plots.legend(axes[0, -1])
+    return plots.finish(figure)
 
 
 # --- HTML ------------------------------------------------------------------------------------------------------------
@@ -305,8 +257,8 @@ def _render(comparison: Comparison, figures: dict[str, bytes], pictures: list[di
         loader=jinja2.PackageLoader("slepian_prt", "evaluation"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["uri"] = lambda png: "data:image/png;base64," + base64.b64encode(png).decode()
-    environment.filters["percent"] = _percent
-    environment.filters["seconds"] = _seconds
+    environment.filters["percent"] = percent
+    environment.filters["seconds"] = seconds
     results = comparison.results()
     return environment.get_template("report.html.j2").render(
         results=results,
@@ -325,18 +277,6 @@ def _render(comparison: Comparison, figures: dict[str, bytes], pictures: list[di
     )
 
 
-def _percent(value: float | None) -> str:
-    if value is None:
-        return "–"
-    if value == 0.0:
-        return "0 %"
-    return f"{100 * value:.2g} %" if value < 0.1 else f"{100 * value:.0f} %"
-
-
-def _seconds(value: float) -> str:
-    return f"{1000 * value:.2g} ms" if value < 0.1 else f"{value:.2g} s" if value < 10 else f"{value:.0f} s"
-
-
 def _findings(comparison: Comparison) -> list[str]:
     """The few sentences that a reader takes away, each with its numbers."""
     at = {m.basis: m for m in comparison.methods if m.terms == comparison.shown_terms and m.coding != "coded"}
@@ -350,17 +290,17 @@ def _findings(comparison: Comparison) -> list[str]:
     if "adapted" in at and "sh" in at:
         found.append(
             f"With {comparison.shown_terms} of {full} functions per vertex, relit radiance is off by "
-            f"{_percent(mean('adapted'))} with the adapted basis, by {_percent(mean('sh'))} with spherical harmonics."
+            f"{percent(mean('adapted'))} with the adapted basis, by {percent(mean('sh'))} with spherical harmonics."
         )
     if "cpca" in at and "adapted" in at:
         found.append(
-            f"Principal components of each cluster reach {_percent(mean('cpca'))}; they need all vectors at once, and "
+            f"Principal components of each cluster reach {percent(mean('cpca'))}; they need all vectors at once, and "
             f"{at['cpca'].bytes_per_vertex:.0f} instead of {at['adapted'].bytes_per_vertex:.0f} bytes per vertex."
         )
     if "adapted" in at:
         found.append(
-            f"The error of the transfer vectors was predicted as {_percent(at['adapted'].predicted_error)} and "
-            f"measured as {_percent(at['adapted'].transfer_error)}."
+            f"The error of the transfer vectors was predicted as {percent(at['adapted'].predicted_error)} and "
+            f"measured as {percent(at['adapted'].transfer_error)}."
         )
     if coded:
         best = coded[len(coded) // 2]
@@ -368,7 +308,7 @@ def _findings(comparison: Comparison) -> list[str]:
         found.append(
             f"Rounded, predicted from neighbours and entropy-coded, the adapted basis takes "
             f"{best.bytes_per_vertex:.1f} bytes per vertex at a relit error of "
-            f"{_percent(float(np.mean(list(best.relit_error.values()))))}; full SH in float16 takes "
+            f"{percent(float(np.mean(list(best.relit_error.values()))))}; full SH in float16 takes "
             f"{whole.bytes_per_vertex:.0f}."
         )
     for view in comparison.views:
@@ -377,9 +317,9 @@ def _findings(comparison: Comparison) -> list[str]:
         seen = [r for r in rungs if r.against == IN_PICTURE]
         known = [r for r in rungs if r.against == AT_VERTICES]
         found.append(
-            f"Under {name}, full SH differs from the path-traced picture by {_percent(seen[2].error)} (noise of the "
-            f"reference {_percent(seen[0].noise)}): {_percent(seen[1].error)} is there without any bandlimit, from "
+            f"Under {name}, full SH differs from the path-traced picture by {percent(seen[2].error)} (noise of the "
+            f"reference {percent(seen[0].noise)}): {percent(seen[1].error)} is there without any bandlimit, from "
             f"interpolating between vertices, and the bandlimit changes the radiance at the vertices by "
-            f"{_percent(known[1].error)}."
+            f"{percent(known[1].error)}."
         )
     return found

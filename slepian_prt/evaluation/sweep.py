@@ -1,0 +1,443 @@
+"""What accuracy costs: error, seconds and bytes of many settings, each measured.
+
+Errors are those of relit radiance at a sample of the vertices, against Monte Carlo without a bandlimit whose own noise
+is stated. Rays are traced once for each number of samples, at the highest bandlimit; transfer of a lower one is its
+first coefficients. Every finished setting is kept, so that a sweep that was stopped goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.pipeline import compress
+from slepian_prt.compression.settings import Settings
+from slepian_prt.errors import UserError
+from slepian_prt.evaluation.compare import versions
+from slepian_prt.evaluation.errors import relative_rms
+from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
+from slepian_prt.relighting.relight import relight
+from slepian_prt.scene.environments import Environment, project_environment
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.transfer import Job, Ready, Transfer
+
+# Vertices that errors are measured at, and those that transport is timed on at each bandlimit.
+REFERENCE_VERTICES = 4000
+_TIMED = 2048
+_RUNS = 3
+
+# Stages of a transfer that grow with its rays and vertices.
+_TRACED = ("transport", "interreflection")
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Axes:
+    """What is varied; every combination is a setting.
+
+    Attributes
+    ----------
+    samples, bandlimits, clusters : tuple of int
+    bases : tuple of str
+    tolerances : tuple of float
+    """
+
+    samples: tuple[int, ...] = (64, 256, 1024)
+    bandlimits: tuple[int, ...] = (5, 10)
+    clusters: tuple[int, ...] = (96,)
+    bases: tuple[str, ...] = ("adapted",)
+    tolerances: tuple[float, ...] = (0.2, 0.05, 0.02)
+
+    def check(self) -> None:
+        """
+        Raises
+        ------
+        UserError
+            An axis without values, or a value out of range.
+        """
+        for name, values in vars(self).items():
+            if not values:
+                raise UserError(f"{name} has no values to sweep over")
+            if len(set(values)) < len(values):
+                raise UserError(f"{name} has a value twice: {', '.join(map(str, values))}")
+        for samples, bandlimit in product(self.samples, self.bandlimits):
+            Job(bandlimit, samples)
+        for setting in self.settings():
+            Settings(basis=setting.basis, tolerance=setting.tolerance, clusters=setting.clusters).check(
+                setting.bandlimit
+            )
+
+    def settings(self) -> Iterator[Setting]:
+        """All combinations, those that share most next to each other."""
+        for values in product(self.samples, self.bandlimits, self.clusters, self.bases, self.tolerances):
+            yield Setting(*values)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One combination."""
+
+    samples: int
+    bandlimit: int
+    clusters: int
+    basis: str
+    tolerance: float
+
+    @property
+    def label(self) -> str:
+        return f"{self.samples} rays, L = {self.bandlimit}, {self.clusters} caps, {self.basis}, {self.tolerance:g}"
+
+
+@dataclass(frozen=True)
+class Point:
+    """What a setting costs and gives; the fields of ``points`` in sweep.json, beside those of the setting.
+
+    Attributes
+    ----------
+    setting : Setting
+    error : dict of str to float
+        For each environment, relative RMS error of relit radiance against the reference.
+    full_error : dict of str to float
+        The same of full SH, before compression.
+    bytes_per_vertex : float
+    transport_seconds, compress_seconds : float
+        Transport below the highest bandlimit is scaled from it by the times on a sample of vertices.
+    transport_spread : float
+        Of some runs on that sample, longest less shortest over the median.
+    relight_seconds : float
+        Mean over the environments.
+    """
+
+    setting: Setting
+    error: dict[str, float]
+    full_error: dict[str, float]
+    bytes_per_vertex: float
+    transport_seconds: float
+    transport_spread: float
+    compress_seconds: float
+    relight_seconds: float
+
+    @property
+    def seconds(self) -> float:
+        """From the loaded and planned scene to the file."""
+        return self.transport_seconds + self.compress_seconds
+
+    def as_dict(self) -> dict[str, Any]:
+        own = asdict(self)
+        return {**own.pop("setting"), **own, "seconds": self.seconds}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Everything that a sweep found.
+
+    Attributes
+    ----------
+    source : str
+    vertices : int
+    environments : tuple of str
+    noise : dict of str to float
+        Of the reference under each environment.
+    points : tuple of Point
+    shared : dict of str to float
+        Seconds that all settings share: loading and planning the scene, compiling kernels, references.
+    effects : tuple of Effect
+    """
+
+    source: str
+    vertices: int
+    environments: tuple[str, ...]
+    noise: dict[str, float]
+    points: tuple[Point, ...]
+    shared: dict[str, float]
+    effects: tuple[Effect, ...]
+
+    def results(self) -> dict[str, Any]:
+        """What sweep.json holds."""
+        return {
+            "scene": self.source,
+            "vertices": self.vertices,
+            "environments": list(self.environments),
+            "reference_noise": self.noise,
+            "points": [point.as_dict() for point in self.points],
+            "pareto": {
+                name: {
+                    cost: [point.setting.label for point in pareto(self.points, name, cost)]
+                    for cost in ("seconds", "bytes_per_vertex")
+                }
+                for name in self.environments
+            },
+            "shared_seconds": self.shared,
+            "effects": [effect.as_dict() for effect in self.effects],
+            "machine": machine(),
+            "versions": versions(),
+        }
+
+
+def machine() -> dict[str, Any]:
+    """What the times were measured on."""
+    model = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                model = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    return {"processor": model, "cores": len(os.sched_getaffinity(0)), "system": platform.system()}
+
+
+def pareto(points: Sequence[Point], environment: str, cost: str) -> list[Point]:
+    """The points that none beats in error without costing more, cheapest first."""
+    front: list[Point] = []
+    for point in sorted(points, key=lambda p: (getattr(p, cost), p.error[environment])):
+        if not front or point.error[environment] < front[-1].error[environment]:
+            front.append(point)
+    return front
+
+
+def findings(sweep: Sweep) -> list[str]:
+    """Where more effort along one axis makes the error larger by more than noise explains: said, not hidden."""
+    by_setting = {point.setting: point for point in sweep.points}
+    found = []
+    for axis in ("samples", "bandlimit", "tolerance"):
+        values = sorted({getattr(s, axis) for s in by_setting}, reverse=axis == "tolerance")
+        for setting, point in by_setting.items():
+            place = values.index(getattr(setting, axis))
+            if place + 1 == len(values):
+                continue
+            better = by_setting.get(replace(setting, **{axis: values[place + 1]}))
+            if better is None:
+                continue
+            for name in sweep.environments:
+                if better.error[name] > point.error[name] * 1.02 + 0.1 * sweep.noise[name]:
+                    step = f"{axis} {getattr(setting, axis):g} to {values[place + 1]:g}"
+                    found.append(
+                        f"Under {name}, {step} raises the error from {point.error[name]:.2%} to "
+                        f"{better.error[name]:.2%} ({setting.label})."
+                    )
+    return found
+
+
+def sweep(
+    scene: str | Path,
+    environments: Sequence[Environment],
+    axes: Axes,
+    job: Job,
+    *,
+    noise: float = 0.005,
+    journal: Path | None = None,
+    tell: Tell = lambda _: None,
+    advance: Callable[[int, int], None] = lambda _done, _total: None,
+    on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
+) -> Sweep:
+    """Measure every setting.
+
+    Parameters
+    ----------
+    scene : path
+    environments : maps
+    axes : Axes
+    job : Job
+        Of it the effects, bounces, albedo and seed count.
+    noise : wanted relative RMS noise of the references
+    journal : path
+        Where finished settings are kept until all are done; those found there are not measured again.
+    tell : told what is done
+    advance : given (settings finished since the last call, settings in all)
+    on_plan : as of `precompute`
+
+    Raises
+    ------
+    UserError
+    """
+    axes.check()
+    if not environments:
+        raise UserError("no light: name a map with --environment")
+    settings = list(axes.settings())
+    kept = Journal(journal, scene, environments, job, noise)
+    found = {setting: kept.points[setting] for setting in settings if setting in kept.points}
+    if found:
+        tell(f"{len(found)} of {len(settings)} settings were measured before and are kept")
+        advance(len(found), len(settings))
+    measure: _Measure | None = None
+    shared: dict[str, float] = {}
+    for samples in axes.samples:
+        left = [setting for setting in settings if setting.samples == samples and setting not in found]
+        if not left and (measure is not None or samples != axes.samples[-1]):
+            continue
+        own = replace(job, samples=samples, bandlimit=max(axes.bandlimits))
+        tell(f"transport, {samples} rays, L = {own.bandlimit}")
+        with own.opened(scene, on_plan if measure is None else (lambda _: None)) as ready:
+            begin = time.perf_counter()
+            ready.direct().of(np.flatnonzero(ready.scene.mesh.receivers)[:64])
+            shared.setdefault("kernels", time.perf_counter() - begin)
+            parts = _parts(ready, axes.bandlimits)
+            ready.clock.stop("timing")
+            transfer = ready.transfer()
+            if measure is None:
+                tell("references")
+                measure = _Measure.made(ready, transfer, environments, noise)
+                shared["references"] = sum(reference.seconds for reference in measure.references)
+        shared |= {stage: transfer.seconds[stage] for stage in ("load", "plan")}
+        for setting in left:
+            tell(setting.label)
+            found[setting] = measure.point(setting, transfer, *parts[setting.bandlimit])
+            kept.add(found[setting])
+            advance(1, len(settings))
+    assert measure is not None
+    kept.remove()
+    return Sweep(
+        str(scene),
+        len(transfer.positions),
+        tuple(environment.name for environment in environments),
+        {e.name: reference.noise for e, reference in zip(environments, measure.references, strict=True)},
+        tuple(found[setting] for setting in settings),
+        shared,
+        transfer.effects,
+    )
+
+
+def _parts(ready: Ready, bandlimits: Sequence[int]) -> dict[int, tuple[float, float]]:
+    """Time of transport at each bandlimit as a part of that at the highest, and its spread, on a sample of vertices."""
+    receivers = np.flatnonzero(ready.scene.mesh.receivers)
+    some = receivers[:: max(1, receivers.size // _TIMED)]
+    times: dict[int, list[float]] = {}
+    for bandlimit in bandlimits:
+        source = replace(ready, job=replace(ready.job, bandlimit=bandlimit)).direct()
+        source.of(some)
+        times[bandlimit] = []
+        for _ in range(_RUNS):
+            begin = time.perf_counter()
+            source.of(some)
+            times[bandlimit].append(time.perf_counter() - begin)
+    longest = float(np.median(times[max(bandlimits)]))
+    return {l: (float(np.median(t)) / longest, float(np.ptp(t) / np.median(t))) for l, t in times.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Measure:
+    """What errors are measured against.
+
+    Attributes
+    ----------
+    environments : maps
+    vertices : (n,)
+        That have a reference.
+    references : one for each environment
+    """
+
+    environments: tuple[Environment, ...]
+    vertices: NDArray[np.int64]
+    references: tuple[ReferenceVertices, ...]
+
+    @classmethod
+    def made(cls, ready: Ready, transfer: Transfer, environments: Sequence[Environment], noise: float) -> _Measure:
+        receivers = np.flatnonzero(ready.scene.mesh.receivers)
+        rng = np.random.default_rng(transfer.seed)
+        vertices = np.sort(rng.choice(receivers, min(REFERENCE_VERTICES, receivers.size), replace=False))
+        view = transfer.view if transfer.toward_view else None
+        references = tuple(
+            vertex_reference(
+                ready.mi, ready.scene, environment, noise=noise, bounces=transfer.bounces, view=view, vertices=vertices
+            )
+            for environment in environments
+        )
+        return cls(tuple(environments), vertices, references)
+
+    def point(self, setting: Setting, transfer: Transfer, part: float, spread: float) -> Point:
+        """Compress transfer of the highest bandlimit as a setting wants it, and measure."""
+        size = num_coefficients(setting.bandlimit)
+        cut = replace(transfer, bandlimit=setting.bandlimit, vectors=transfer.vectors[:, :, :size], environment=None)
+        packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=setting.clusters)
+        traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage in _TRACED)
+        lights = [project_environment(environment, setting.bandlimit) for environment in self.environments]
+        packed.radiance(lights[0])  # prepares it
+        begin = time.perf_counter()
+        radiance = [packed.radiance(light) for light in lights]
+        seconds = (time.perf_counter() - begin) / len(lights)
+        return Point(
+            setting,
+            self._errors(radiance),
+            self._errors([relight(cut, light) for light in lights]),
+            packed.bytes_per_vertex,
+            traced * part,
+            spread,
+            packed.seconds["compress"],
+            seconds,
+        )
+
+    def _errors(self, radiance: Sequence[NDArray]) -> dict[str, float]:
+        found = {}
+        for environment, reference, one in zip(self.environments, self.references, radiance, strict=True):
+            # What the reference sees as black may be inside other geometry, where transfer borrows from neighbours.
+            lit = reference.radiance.any(axis=1)
+            found[environment.name] = relative_rms(one[self.vertices[lit]], reference.radiance[lit])
+        return found
+
+
+class Journal:
+    """Finished settings on disk, for the same scene, maps and job; without a path, none.
+
+    Attributes
+    ----------
+    points : dict of Setting to Point
+    """
+
+    def __init__(
+        self, path: Path | None, scene: str | Path, environments: Sequence[Environment], job: Job, noise: float
+    ) -> None:
+        self._path = path
+        self.points: dict[Setting, Point] = {}
+        self._key = _fingerprint(scene, environments, job, noise)
+        if path is None or not path.is_file():
+            return
+        for line in path.read_text().splitlines():
+            try:
+                entry = json.loads(line)
+                if entry["key"] == self._key:
+                    point = Point(Setting(**entry["setting"]), **entry["point"])
+                    self.points[point.setting] = point
+            except (ValueError, KeyError, TypeError):
+                continue  # the line that was being written when it was killed
+
+    def add(self, point: Point) -> None:
+        """Keep a point, on the disk when this returns."""
+        if self._path is None:
+            return
+        own = asdict(point)
+        line = json.dumps({"key": self._key, "setting": own.pop("setting"), "point": own})
+        with self._path.open("a") as file:
+            file.write(line + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def remove(self) -> None:
+        """All is done."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+
+def _fingerprint(scene: str | Path, environments: Sequence[Environment], job: Job, noise: float) -> str:
+    """Of everything but the axes that a point depends on."""
+    digest = hashlib.sha256()
+    own = replace(job, samples=1, bandlimit=0)
+    digest.update(repr((versions(), machine(), own, noise)).encode())
+    digest.update(Path(scene).read_bytes())
+    for environment in environments:
+        digest.update(repr((environment.name, environment.to_world.tolist())).encode())
+        digest.update(environment.texels.tobytes())
+    return digest.hexdigest()[:32]

@@ -1,0 +1,174 @@
+import csv
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import OpenEXR
+import pytest
+import trimesh
+
+from slepian_prt.errors import UserError
+from slepian_prt.evaluation import sweep as sweeping
+from slepian_prt.evaluation.sweep import Axes, Journal, Point, Setting, Sweep, findings, pareto
+from slepian_prt.evaluation.sweep_report import write_sweep
+from slepian_prt.scene.environments import make_environment
+from slepian_prt.transport.transfer import Job
+from tests.conftest import bumpy
+from tests.relighting.test_integrator import sky
+
+AXES = Axes(samples=(16, 256), bandlimits=(2, 6), clusters=(8,), tolerances=(0.3, 0.02))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A mesh that shadows itself, and a map."""
+    path = tmp_path_factory.mktemp("sweep")
+    mesh = bumpy(3)
+    trimesh.Trimesh(mesh.positions, mesh.faces, process=False).export(path / "bumpy.ply")
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": sky()}) as file:
+        file.write(str(path / "sky.exr"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return sweeping.sweep(folder / "bumpy.ply", [make_environment(sky(), name="sky")], AXES, Job(), noise=0.01)
+
+
+def point(samples=16, bandlimit=4, tolerance=0.1, error=0.1, seconds=1.0, size=1.0) -> Point:
+    setting = Setting(samples, bandlimit, 8, "adapted", tolerance)
+    return Point(setting, {"sky": error}, {"sky": error}, size, seconds, 0.0, 0.0, 0.001)
+
+
+def test_every_combination_is_measured(found):
+    assert [p.setting for p in found.points] == list(AXES.settings())
+    assert len(found.points) == 8
+    assert 0.0 < found.noise["sky"] <= 0.02
+    assert {"load", "plan", "kernels", "references"} <= set(found.shared)
+    for one in found.points:
+        assert one.transport_seconds > 0.0
+        assert one.compress_seconds > 0.0
+        assert one.bytes_per_vertex > 0.0
+        # Compression adds to what few rays and the bandlimit lose, no more than its tolerance allows.
+        assert one.full_error["sky"] * 0.9 < one.error["sky"] < one.full_error["sky"] + one.setting.tolerance
+
+
+def test_more_rays_degrees_and_bytes_are_better(found):
+    by = {p.setting: p.error["sky"] for p in found.points}
+    best, worst = min(by.values()), max(by.values())
+    assert by[Setting(256, 6, 8, "adapted", 0.02)] == best
+    assert by[Setting(16, 2, 8, "adapted", 0.3)] > 2.0 * best
+    assert worst < 1.0
+
+
+def test_lower_bandlimits_are_the_first_coefficients(folder, found):
+    """The shared rays give what a run of its own would give."""
+    alone = sweeping.sweep(
+        folder / "bumpy.ply",
+        [make_environment(sky(), name="sky")],
+        replace(AXES, samples=(256,), bandlimits=(2,), tolerances=(0.02,)),
+        Job(),
+        noise=0.01,
+    )
+    shared = next(p for p in found.points if p.setting == alone.points[0].setting)
+    # Which rays are traced depends a little on the bandlimit.
+    assert alone.points[0].error["sky"] == pytest.approx(shared.error["sky"], rel=0.03)
+
+
+def test_the_front():
+    points = [
+        point(error=0.3, seconds=1.0), point(error=0.2, seconds=2.0), point(error=0.25, seconds=3.0),
+        point(error=0.1, seconds=4.0), point(error=0.1, seconds=5.0),
+    ]  # fmt: skip
+    assert [p.seconds for p in pareto(points, "sky", "seconds")] == [1.0, 2.0, 4.0]
+
+
+def test_what_does_not_help_is_said():
+    points = (point(samples=16, error=0.1), point(samples=64, error=0.2), point(samples=256, error=0.15))
+    told = findings(Sweep("x.ply", 1, ("sky",), {"sky": 0.001}, points, {}, ()))
+    assert len(told) == 1
+    assert told[0].startswith("Under sky, samples 16 to 64 raises the error from 10.00% to 20.00%")
+
+
+def test_files(found, tmp_path):
+    page = write_sweep(found, tmp_path / "out", "slepian-prt sweep …")
+    assert sorted(p.name for p in page.parent.iterdir()) == [
+        "sky_bytes_per_vertex.png", "sky_seconds.png", "sweep.csv", "sweep.html", "sweep.json",
+    ]  # fmt: skip
+    results = json.loads((page.parent / "sweep.json").read_text())
+    assert len(results["points"]) == 8
+    assert results["points"][0]["seconds"] == pytest.approx(found.points[0].seconds)
+    assert results["machine"]["cores"] >= 1
+    rows = list(csv.DictReader((page.parent / "sweep.csv").read_text().splitlines()))
+    assert [float(row["error"]) for row in rows] == [p.error["sky"] for p in found.points]
+    text = page.read_text()
+    assert text.count("data:image/png;base64,") == 2
+    assert "http" not in text.replace("http-equiv", "")
+    assert "16 rays, L = 2, 8 caps, adapted, 0.3" in text
+
+
+def test_a_stopped_sweep_goes_on(folder, tmp_path):
+    environments, job = [make_environment(sky(), name="sky")], Job()
+    axes = replace(AXES, bandlimits=(2,), tolerances=(0.3, 0.1))
+    path = tmp_path / "partial"
+    journal = Journal(path, folder / "bumpy.ply", environments, job, 0.05)
+    kept = replace(point(samples=16, bandlimit=2, tolerance=0.3), error={"sky": 0.123})
+    journal.add(kept)
+    with path.open("a") as file:
+        file.write('{"key": "cut sho')
+    done = []
+    found = sweeping.sweep(
+        folder / "bumpy.ply", environments, axes, job, noise=0.05, journal=path, advance=lambda n, _: done.append(n)
+    )
+    assert found.points[0] == kept
+    assert sum(done) == len(found.points) == 4
+    assert not path.exists()
+    # Another job is not taken for the same.
+    journal.add(kept)
+    assert Journal(path, folder / "bumpy.ply", environments, Job(seed=1), 0.05).points == {}
+
+
+def test_the_command(folder):
+    command = [
+        sys.executable, "-m", "slepian_prt", "sweep", "bumpy.ply", "--environment", "sky.exr", "-o", "out",
+        "--samples", "16,64", "--bandlimit", "3", "--clusters", "8", "--tolerance", "0.2", "--noise", "0.05",
+    ]  # fmt: skip
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "not beaten in time" in done.stdout
+    assert done.stdout.strip().endswith("out/sweep.html: 2 settings")
+    assert not [name for name in os.listdir(folder / "out") if "partial" in name]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--samples", "16,x"], "--samples must be numbers with commas between"),
+        (["--samples", "16,16"], "samples has a value twice"),
+        (["--samples", "0"], "samples must be an integer"),
+        (["--bandlimit", "90"], "bandlimit must be"),
+        (["--basis", "wavelets"], "basis must be one of"),
+        (["--tolerance", "0"], "tolerance must be"),
+        (["--clusters", "0"], "clusters must be"),
+        (["--noise", "0"], "noise must be a positive number"),
+        (["--environment", "sky.exr"], "different names"),
+        (["--environment", "none.exr"], "no such file"),
+        (["-o", "bumpy.ply"], "not a folder"),
+    ],
+)
+def test_wrong_requests(arguments, message, folder):
+    command = [sys.executable, "-m", "slepian_prt", "sweep", "bumpy.ply", "--environment", "sky.exr", "-o", "never"]
+    done = subprocess.run([*command, *arguments], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not (folder / "never").exists()
+
+
+def test_axes_without_values():
+    with pytest.raises(UserError, match="tolerances has no values"):
+        Axes(tolerances=()).check()
+    assert np.prod([len(values) for values in vars(AXES).values()]) == len(list(AXES.settings()))
