@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 # From so many functions, and for one light, products of a matrix that is stored by columns with each of three vectors
 # are up to twice as fast as one with all three (OpenBLAS, measured).
@@ -55,7 +56,9 @@ class Factors:
 
 def without_the_least(parts: Sequence[Factors], weights: NDArray[np.float64], lost: float) -> list[Factors]:
     """Factors of all caps with as few functions as leave out ``lost`` (relative RMS) of the weighted transfer."""
-    made = [part.orthonormal(weights) for part in parts]
+    # Threads of BLAS that wait for each other make many small problems slow, by minutes on a busy machine.
+    with threadpool_limits(1, "blas"):
+        made = [part.orthonormal(weights) for part in parts]
     energies = np.concatenate([energy for energy, _ in made])
     sizes = np.concatenate([np.full(energy.size, len(part.coefficients)) for energy, part in made])
     # Per number that has to be read: a function of a small cap is worth more than one of a large cap.

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.relight import negative_part
 from slepian_prt.scene.environments import envmap_rotation, is_envmap, sky_grid
 from slepian_prt.scene.projection import Projection
+from slepian_prt.sphere.harmonics import degrees
 
 # Wavelengths, in nm, that spectra are integrated at.
 _FROM, _TO, _STEP = 360.0, 830.0, 5.0
@@ -58,10 +60,21 @@ class Relit:
     packed : CompressedTransfer
     turn : (3, 3)
         Rotation from the scene to the world of the file.
+    damping : (L+1,)
+        Factor of each degree of the light.
+
+    Attributes
+    ----------
+    negative : float
+        Part of the vertices that were negative under the last light, by `negative_part`.
     """
 
-    def __init__(self, mi: Any, packed: CompressedTransfer, turn: NDArray[np.float64]) -> None:
+    def __init__(
+        self, mi: Any, packed: CompressedTransfer, turn: NDArray[np.float64], damping: NDArray[np.float64]
+    ) -> None:
         self._mi, self._packed, self._turn = mi, packed, turn
+        self._damping = np.tile(damping[degrees(packed.bandlimit)], 3).astype(np.float32)
+        self.negative = 0.0
         self._seen: list[tuple[str, Any]] | None = None
         self._radiance: Any = None
 
@@ -79,7 +92,7 @@ class Relit:
         ]
         if self._seen is not None and _unchanged(self._seen, seen):
             return self._radiance
-        light = distant_light(mi, emitter, self._packed.bandlimit, self._turn)
+        light = distant_light(mi, emitter, self._packed.bandlimit, self._turn) * mi.Float(self._damping)
         operator = self._packed.operator
 
         def apply(coefficients: NDArray) -> NDArray:
@@ -91,6 +104,7 @@ class Relit:
         radiance = linear(apply, transpose, light, mi.Float)
         if not dr.grad_enabled(radiance):
             self._seen, self._radiance = seen, radiance
+            self.negative = negative_part(np.array(radiance).reshape(-1, 3))
         return radiance
 
 
@@ -190,12 +204,19 @@ def _colour(mi: Any, emitter: Any, si: Any) -> Any:
     return mi.xyz_to_srgb(xyz)
 
 
-def metameric_spectra(mi: Any) -> NDArray[np.float64]:
-    """(3, 3) from linear sRGB to weights of the three colour matching functions that give a spectrum of that colour.
+def smooth_spectra(mi: Any) -> NDArray[np.float64]:
+    """(3, 3) from linear sRGB to the coefficients of `smooth_basis` that give a spectrum of that colour.
 
-    It is linear in the colour, so that negative radiance (ringing) and gradients are as in RGB.
+    It is linear in the colour, so that negative radiance (ringing) and gradients are as in RGB, and smooth, so that
+    reflectances change its colour about as they do in RGB.
     """
     wavelengths = np.arange(_FROM, _TO + 0.5, 1.0)
     matching = np.array([np.array(part) for part in mi.cie1931_xyz(mi.Float(wavelengths.astype(np.float32)))])
     to_xyz = np.array([np.array(mi.srgb_to_xyz(mi.Color3f(*unit))).ravel() for unit in np.eye(3).tolist()]).T
-    return np.asarray(np.linalg.solve(matching.astype(np.float64) @ matching.T, to_xyz))
+    return np.asarray(np.linalg.solve(matching.astype(np.float64) @ np.stack(smooth_basis(wavelengths)).T, to_xyz))
+
+
+def smooth_basis(wavelength: Any) -> list[Any]:
+    """Polynomials of the wavelength in nm up to degree two."""
+    x = (wavelength - 0.5 * (_FROM + _TO)) / (0.5 * (_TO - _FROM))
+    return [0.0 * x + 1.0, x, x * x]

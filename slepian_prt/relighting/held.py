@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer, load
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.emission import Relit
 from slepian_prt.relighting.surfaces import Surfaces
+from slepian_prt.scene.materials import diffuse_reflectance, left_out
+
+# Remarked on: mean reflectance of a material below this, where the file knows none; part of negative vertices above.
+_ALL_REFLECTED = 0.99
+_NEGATIVE = 1e-3
+
+
+def warn(mi: Any, text: str) -> None:
+    """A remark in Mitsuba's log."""
+    mi.Log(mi.LogLevel.Warn, f"slepian_prt: {text}")
 
 
 @lru_cache(maxsize=8)
@@ -30,6 +42,15 @@ def read_once(path: str) -> CompressedTransfer:
 class Held:
     """One file in the scene that was drawn last.
 
+    Parameters
+    ----------
+    mi : Mitsuba, in the variant of the scene
+    path : str
+    damping : callable
+        Gives factors of the degrees of the light for a bandlimit.
+    reflected : bool
+        Whether radiance is multiplied with the albedo of the file.
+
     Attributes
     ----------
     name : str
@@ -39,10 +60,13 @@ class Held:
         What vertices reflect; may be changed, and followed by gradients.
     """
 
-    def __init__(self, mi: Any, path: str) -> None:
+    def __init__(self, mi: Any, path: str, damping: Callable[[int], NDArray[np.float64]], reflected: bool) -> None:
         self._mi = mi
         self.name = os.path.basename(path)
         self.packed = read_once(path)
+        self._damping = damping(self.packed.bandlimit)
+        self._reflected = reflected
+        self._told_negative = False
         self.albedo = mi.TensorXf(np.ascontiguousarray(self.packed.mesh.albedo, dtype=np.float32))
         self._shapes: list[Any] = []
         self._emitter: Any = None
@@ -73,26 +97,59 @@ class Held:
         turn = self._surfaces.placement.rotation.T
         if self.packed.toward_view and np.abs(turn - np.eye(3)).max() > 1e-4:
             raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
-        self._relit = Relit(self._mi, self.packed, turn)
+        self._relit = Relit(self._mi, self.packed, turn, self._damping)
         self._shapes = shapes
         return True
 
-    def colour(self, ray: Any, hit: Any, si: Any, active: Any, *, reflected: bool) -> tuple[Any, Any]:
+    def remarks(self) -> list[str]:
+        """What of the scene's materials is drawn otherwise than they say; for when shapes were found."""
+        mi, notes = self._mi, []
+        names = {part.name for part in self.packed.parts}
+        known = [shape for shape, _ in self._surfaces.meshes]
+        for shape in [*known, *(s for s in self._shapes if s.id() in names and s not in known)]:
+            if not self.packed.toward_view:
+                notes += [f"not drawn: {note}" for note in left_out(mi, shape.bsdf(), shape.id(), view=False)]
+        told = mi.is_rgb and self._reflected and not self.packed.toward_view
+        if not told or not np.all(self.packed.mesh.albedo == 1.0):
+            return notes
+        for shape, part in self._surfaces.meshes:
+            own = self._surfaces.placement(self.packed.mesh.positions)[part.first : part.first + part.count]
+            normals = self.packed.mesh.normals[part.first : part.first + part.count]
+            faces = self._surfaces.faces_of(shape)
+            try:
+                mean = float(diffuse_reflectance(mi, shape, own, normals, faces, self.name).mean())
+            except UserError:  # of a material that is not used here
+                continue
+            if mean < _ALL_REFLECTED:
+                notes.append(
+                    f"shape '{part.name}' reflects all light, as {self.name} has it; its material here reflects "
+                    f"{mean:.2f}, which albedo 'scene' follows"
+                )
+        return notes
+
+    def colour(self, ray: Any, hit: Any, si: Any, active: Any) -> tuple[Any, Any]:
         """Where rays meet the front of the surfaces, and linear sRGB radiance there.
 
-        The first arguments are those of `Surfaces.meet`. If not ``reflected``, the albedo is left out.
+        The arguments are those of `Surfaces.meet`.
         """
         import drjit as dr
 
         mi = self._mi
         unlit = self._relit.under(self._emitter)
+        if self._relit.negative > _NEGATIVE and not self._told_negative:
+            self._told_negative = True
+            warn(
+                mi,
+                f"{self._relit.negative:.1%} of the vertices of {self.name} are negative under this light (ringing of "
+                "small bright lights at this bandlimit; window and window_width damp it)",
+            )
         with dr.suspend_grad():  # geometry is not differentiated
             met = self._surfaces.meet(ray, hit, si, active)
             self._check_camera(ray, met.held)
         colour = mi.Color3f(0.0)
         for vertex, weight in zip(met.vertices, met.weights, strict=True):
             lit = dr.gather(mi.Color3f, unlit, vertex, met.held)
-            if reflected:
+            if self._reflected:
                 lit *= dr.gather(mi.Color3f, self.albedo.array, vertex, met.held)
             colour += weight * lit
         return met.held, colour

@@ -10,11 +10,16 @@ mi.render(scene)                           #     <string name="transfer" value="
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from slepian_prt.errors import UserError
-from slepian_prt.relighting.emission import metameric_spectra
-from slepian_prt.relighting.held import Held
+from slepian_prt.relighting.emission import smooth_basis, smooth_spectra
+from slepian_prt.relighting.held import Held, warn
+from slepian_prt.relighting.windowing import window
 from slepian_prt.scene.variants import imported_mitsuba
 
 NAME = "slepian_prt"
@@ -74,6 +79,8 @@ def _integrator_class(mi: Any) -> Any:
         albedo : string
             ``file`` (default): what the file says that vertices reflect, which ``mi.traverse`` shows as ``albedo``
             (of ``transfer_x`` as ``albedo_x``). ``scene``: what the materials of the scene reflect diffusely.
+        window, window_width : string, float
+            ``hann`` or ``lanczos`` and the degree that it ends at: damps ringing under small bright lights.
         shading_samples, emitter_samples, bsdf_samples, hide_emitters
             As those of ``direct``.
         """
@@ -83,18 +90,27 @@ def _integrator_class(mi: Any) -> Any:
             names = sorted(name for name in properties if re.fullmatch("transfer(_.*)?", name))
             if not names:
                 raise UserError(f"integrator {NAME} needs a parameter 'transfer', the path of a .prt file")
-            find = mi.file_resolver().resolve
-            self.files = {name: Held(mi, str(find(str(properties[name])))) for name in names}
             source = str(properties.get("albedo", "file"))
             if source not in ("file", "scene"):
                 raise UserError(f"albedo of integrator {NAME} must be 'file' or 'scene', not {source!r}")
             self.of_scene = source == "scene"
+            damping = _damping(str(properties.get("window", "")), properties.get("window_width", 0.0))
+            self.files = {}
+            for name in names:
+                if not isinstance(properties[name], str):
+                    raise UserError(f"{name} of integrator {NAME} must be the path of a file, not {properties[name]!r}")
+                path = str(mi.file_resolver().resolve(properties[name]))
+                self.files[name] = Held(mi, path, damping, not self.of_scene)
             for file in self.files.values():
                 if self.of_scene and file.packed.toward_view:
                     raise UserError(f"{file.name}: transfer toward a camera has its materials in it; leave out albedo")
-            others = {name: properties[name] for name in _OF_DIRECT if name in properties}
-            self.others = mi.load_dict({"type": "direct", **others})
-            self.spectra = metameric_spectra(mi).tolist() if mi.is_spectral else None
+            # Not by `load_dict`, which replaces the resolver of files for all threads that are loading this scene.
+            others = mi.Properties("direct")
+            for name in _OF_DIRECT:
+                if name in properties:
+                    others[name] = properties[name]
+            self.others = mi.PluginManager.instance().create_object(others)
+            self.spectra = smooth_spectra(mi).tolist() if mi.is_spectral else None
 
         def traverse(self, callback: Any) -> None:
             for name, file in self.files.items():
@@ -108,6 +124,14 @@ def _integrator_class(mi: Any) -> Any:
             return f"SlepianPRT[{', '.join(f'{name} = {file.name}' for name, file in self.files.items())}]"
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+            try:
+                return self._sample(scene, sampler, ray, medium, active)
+            except UserError as error:
+                # `mi.render` raises an error of its own that does not say what is wrong.
+                warn(mi, str(error))
+                raise
+
+        def _sample(self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> Any:
             self._find(scene)
             active = mi.Bool(active)
             with dr.suspend_grad():
@@ -117,7 +141,7 @@ def _integrator_class(mi: Any) -> Any:
                 minimal = hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.Minimal, active & hit.is_valid())
             held, colour = mi.Bool(False), mi.Color3f(0.0)
             for file in self.files.values():
-                here, radiance = file.colour(ray, hit, minimal, active & ~held, reflected=not self.of_scene)
+                here, radiance = file.colour(ray, hit, minimal, active & ~held)
                 colour = dr.select(here, radiance, colour)
                 held |= here
             result = _as_spectrum(mi, colour, ray.wavelengths, self.spectra)
@@ -130,17 +154,18 @@ def _integrator_class(mi: Any) -> Any:
             return dr.select(held, _depolarized(mi, result), others), valid | held, []
 
         def _find(self, scene: Any) -> None:
-            found = [file.name for file in self.files.values() if file.find(scene)]
+            found = [file for file in self.files.values() if file.find(scene)]
             if not found:
                 return
-            names = ", ".join(found)
+            for file in found:
+                for remark in file.remarks():
+                    warn(mi, remark)
+            names = ", ".join(file.name for file in found)
             others = [e.id() or e.class_name() for e in scene.emitters() if not e.is_environment()]
             if others:
-                _warn(
-                    mi, f"light of {', '.join(others)} does not reach shapes of {names}: they know distant light only"
-                )
+                warn(mi, f"light of {', '.join(others)} does not reach shapes of {names}: they know distant light only")
             if scene.environment() is None:
-                _warn(mi, f"without distant light the shapes of {names} are black")
+                warn(mi, f"without distant light the shapes of {names} are black")
 
         def _behind_emitters(self, scene: Any, ray: Any, hit: Any, active: Any) -> Any:
             """What lies behind the shapes that emit light, as ``hide_emitters`` of ``direct`` has it."""
@@ -149,6 +174,16 @@ def _integrator_class(mi: Any) -> Any:
             return dr.select(hidden, self.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden), hit)
 
     return SlepianPRT
+
+
+def _damping(name: str, width: float) -> Callable[[int], NDArray[np.float64]]:
+    """Factors of the degrees for a bandlimit."""
+    if not name:
+        if width:
+            raise UserError(f"window_width of integrator {NAME} needs a window: hann or lanczos")
+        return lambda bandlimit: np.ones(bandlimit + 1)
+    window(name, 0, width)  # says now what is wrong
+    return lambda bandlimit: window(name, bandlimit, width)
 
 
 def _as_spectrum(mi: Any, colour: Any, wavelengths: Any, spectra: list[list[float]] | None) -> Any:
@@ -160,8 +195,7 @@ def _as_spectrum(mi: Any, colour: Any, wavelengths: Any, spectra: list[list[floa
     amounts = [sum(weight * colour[c] for c, weight in enumerate(row)) for row in spectra]
     spectrum = mi.UnpolarizedSpectrum(0.0)
     for i, wavelength in enumerate(wavelengths):
-        matching = mi.cie1931_xyz(wavelength)
-        spectrum[i] = sum(amount * part for amount, part in zip(amounts, matching, strict=True))
+        spectrum[i] = sum(amount * part for amount, part in zip(amounts, smooth_basis(wavelength), strict=True))
     return spectrum
 
 
@@ -172,7 +206,3 @@ def _depolarized(mi: Any, spectrum: Any) -> Any:
     full = mi.Spectrum(0.0)
     full[0, 0] = spectrum
     return full
-
-
-def _warn(mi: Any, text: str) -> None:
-    mi.Log(mi.LogLevel.Warn, f"{NAME}: {text}")

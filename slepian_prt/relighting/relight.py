@@ -32,7 +32,10 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
     UserError
         Lighting of another shape, or not finite.
     """
-    lights = np.asarray(lighting, dtype=np.float64)
+    try:
+        lights = np.asarray(lighting, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError("lighting must be numbers, as of project_environment") from None
     wanted = (3, num_coefficients(transfer.bandlimit))
     if lights.ndim not in (2, 3) or lights.shape[-2:] != wanted or lights.size == 0:
         raise UserError(f"lighting must have shape {wanted} for bandlimit {transfer.bandlimit}, not {lights.shape}")

@@ -97,14 +97,14 @@ class Surfaces:
         faces = []
         first = 0
         for number, (shape, part) in zip(numbers, self.meshes, strict=True):
-            own = np.array(shape.face_indices(dr.arange(mi.UInt32, shape.face_count()))).T + part.first
+            own = self.faces_of(shape) + part.first
             table[number] = first
             first += len(own)
             faces.append(own)
         self._first_face = mi.Int32(table)
         self._stand_in: Any = None
         if elsewhere:
-            own = _faces_of(elsewhere, packed)
+            own = _faces_of(elsewhere, packed).astype(np.int64)
             self._first_own = first
             faces.append(own)
             positions = self.placement(packed.mesh.positions)
@@ -114,6 +114,11 @@ class Surfaces:
             self._check_places(scene, elsewhere, packed, file)
         corners = np.concatenate(faces).astype(np.uint32)
         self._corners = tuple(mi.UInt32(np.ascontiguousarray(corners[:, i])) for i in range(3))
+
+    def faces_of(self, shape: Any) -> NDArray[np.int64]:
+        """(F, 3) of a mesh, as Mitsuba numbers them."""
+        faces = shape.face_indices(_drjit().arange(self._mi.UInt32, shape.face_count()))
+        return np.array(faces, dtype=np.int64).T
 
     def changed(self) -> bool:
         """Whether vertices were moved since."""
@@ -174,7 +179,8 @@ class Surfaces:
                 there = ", ".join(f"'{shape.id()}'" for shape in scene.shapes()) or "none"
                 raise UserError(
                     f"{file}: its shape '{part.name}' ({part.count} vertices) is not in the scene, which has the "
-                    f"shapes {there}; give the shape that id and its place, or precompute the scene again"
+                    f"shapes {there}; give the shape that id; it may be moved, turned and evenly scaled, but "
+                    "not changed"
                 )
 
 

@@ -116,15 +116,17 @@ def envmap_rotation(to_world: Any, origin: str) -> tuple[bool, NDArray[np.float6
     Raises
     ------
     UserError
-        A transform that shears.
+        A transform that scales or shears.
     """
     world = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
-    world = world / np.linalg.norm(world, axis=0)
     mirrored = bool(np.linalg.det(world) < 0.0)
     if mirrored:
         world = world * [-1.0, 1.0, 1.0]
     if np.abs(world @ world.T - np.eye(3)).max() > 1e-4:
-        raise UserError(f"{origin}: the envmap's to_world shears it; use rotations and mirrorings only")
+        raise UserError(
+            f"{origin}: the envmap's to_world scales or shears it, which lights no scene as meant; use rotations "
+            "(about axes of length one) and mirrorings only"
+        )
     return mirrored, world
 
 
@@ -255,9 +257,14 @@ def turned(rotate: float | ArrayLike) -> NDArray[np.float64]:
     UserError
         Not finite, or a matrix that is no rotation.
     """
-    if np.ndim(rotate) == 0:
-        return about_up(float(np.asarray(rotate)))
-    matrix = np.asarray(rotate, dtype=np.float64)
+    if hasattr(rotate, "matrix"):  # a transform of Mitsuba
+        rotate = np.array(rotate.matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
+    try:
+        matrix = np.asarray(rotate, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError(f"rotation must be a number of degrees or a (3, 3) matrix, not {rotate!r}") from None
+    if matrix.ndim == 0:
+        return about_up(float(matrix))
     if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
         raise UserError(f"rotation must be a number of degrees or a (3, 3) matrix, not of shape {matrix.shape}")
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-6 or np.linalg.det(matrix) < 0.0:

@@ -10,7 +10,9 @@ import pytest
 import trimesh
 
 import slepian_prt as sp
+from slepian_prt.relighting.emission import smooth_basis, smooth_spectra
 from slepian_prt.relighting.relight import relight
+from slepian_prt.relighting.windowing import windowed
 from slepian_prt.scene.environments import about_up, project_environment
 from slepian_prt.scene.variants import imported_mitsuba, prepare_llvm
 from slepian_prt.sphere.harmonics import real_sh
@@ -554,3 +556,97 @@ def test_inside_an_aov_integrator(mi, folder):
         {"type": "aov", "aovs": "d:depth", "own": {"type": "slepian_prt", "transfer": str(folder / "bumpy.prt")}}
     )
     np.testing.assert_allclose(picture(mi, scene, integrator=nested)[..., :3], picture(mi, scene), atol=1e-5)
+
+
+# --- Remarks and refusals --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def log(mi):
+    """What Mitsuba logs."""
+    texts = []
+
+    class Kept(mi.Appender):
+        def append(self, level, text):
+            texts.append(text)
+
+        def log_progress(self, *_):
+            pass
+
+    logger = mi.logger()
+    kept, before = Kept(), [logger.appender(i) for i in range(logger.appender_count())]
+    logger.clear_appenders()
+    logger.add_appender(kept)
+    yield texts
+    logger.clear_appenders()
+    for appender in before:
+        logger.add_appender(appender)
+
+
+def test_what_materials_say_and_is_not_drawn_is_told(mi, folder, tmp_path, log):
+    mesh = bumpy(3)
+    packed = sp.compress(sp.precompute(replace(mesh, name="bumpy"), bandlimit=4, samples=16), clusters=6)
+    packed.save(tmp_path / "bare.prt")
+    bare = {"type": "slepian_prt", "transfer": str(tmp_path / "bare.prt")}
+    picture(mi, loaded(mi, folder), integrator=mi.load_dict(bare))
+    assert [text for text in log if "'bumpy' reflects all light" in text and "reflects 0.50" in text]
+    log.clear()
+    picture(mi, loaded(mi, folder), integrator=mi.load_dict({**bare, "albedo": "scene"}))
+    assert not log
+    rough = shape(mi, folder) | {"bsdf": {"type": "roughplastic"}}
+    picture(mi, loaded(mi, folder, bumpy=rough), integrator=mi.load_dict({**bare, "albedo": "scene"}))
+    assert [text for text in log if "not drawn: glossy reflection of shape 'bumpy'" in text]
+
+
+def test_errors_are_in_the_log(mi, folder, tmp_path, log):
+    other = bumpy(2)
+    trimesh.Trimesh(other.positions, other.faces, process=False).export(tmp_path / "bumpy.ply")
+    with pytest.raises(RuntimeError):
+        mi.render(loaded(mi, folder, bumpy=shape(mi, tmp_path)))
+    assert [text for text in log if "642 vertices there and 162 in the scene" in text]
+
+
+def test_ringing_is_told_and_damped(mi, folder, log):
+    texels = np.full((64, 128, 3), 1e-4, dtype=np.float32)
+    texels[20:22, 30:32] = 500.0
+    plain = picture(mi, loaded(mi, folder, envmap(mi, texels), {"hide_emitters": True}))
+    assert plain.min() < 0.0
+    assert [text for text in log if "negative under this light" in text]
+    options = {"hide_emitters": True, "window": "hann", "window_width": 5.0}
+    scene = loaded(mi, folder, envmap(mi, texels), options)
+    lighting = windowed(project_environment(texels, 6), "hann", 5.0)
+    expected = painted(mi, scene, relight(packed_of(folder), lighting))
+    np.testing.assert_allclose(picture(mi, scene), expected, atol=1e-4 * expected.max())
+    for wrong, wanted in [
+        ({"window": "box", "window_width": 3.0}, "window must be one of"),
+        ({"window": "hann"}, "width of the window must be larger"),
+        ({"window_width": 3.0}, "needs a window"),
+        ({"transfer": 3}, "must be the path of a file, not 3"),
+    ]:
+        with pytest.raises(RuntimeError, match=wanted):
+            loaded(mi, folder, integrator=wrong)
+
+
+def test_a_scaled_map_is_refused(mi, folder, log):
+    emitter = envmap(mi) | {"to_world": mi.ScalarTransform4f().scale(2.0)}
+    with pytest.raises(RuntimeError):
+        mi.render(loaded(mi, folder, emitter))
+    assert [text for text in log if "to_world scales or shears" in text]
+
+
+def test_loading_beside_plugins_that_read_files(mi, folder):
+    """Scenes load in parallel; the plugin must not disturb what others look for."""
+    for _ in range(15):
+        loaded(mi, folder, {"type": "sunsky", "sun_direction": [0.4, 0.7, 0.3]})
+
+
+def test_spectra_are_those_of_the_colour(mi):
+    """Linear sRGB of the spectrum, integrated finely, is what it was made of."""
+    mi.set_variant("llvm_ad_spectral")
+    weights = smooth_spectra(mi)
+    wavelengths = np.arange(360.0, 830.5, 0.5)
+    matching = np.array([np.array(part) for part in mi.cie1931_xyz(mi.Float(wavelengths.astype(np.float32)))])
+    for colour in ([1.0, 1.0, 1.0], [0.2, 0.9, -0.1], [1.0, 0.0, 0.0]):
+        spectrum = weights @ colour @ np.stack(smooth_basis(wavelengths))
+        found = np.array(mi.xyz_to_srgb(mi.Color3f(*(matching @ spectrum * 0.5).tolist()))).ravel()
+        np.testing.assert_allclose(found, colour, atol=2e-3)

@@ -52,7 +52,11 @@ def test_any_rotation_is_that_of_the_light(rng):
                                project_environment(texels, 6, rotate=20.0), atol=1e-12)  # fmt: skip
     for angle in (0.0, 360.0, 1e-9):
         np.testing.assert_allclose(project_environment(texels, 6, rotate=angle), plain, atol=1e-9)
-    for wrong in (np.eye(4), -np.eye(3), 2 * np.eye(3), np.full((3, 3), np.nan)):
+    with mitsuba() as mi:
+        transform = mi.ScalarTransform4f().rotate([0, 1, 0], 20.0)
+    np.testing.assert_allclose(project_environment(texels, 6, rotate=transform),
+                               project_environment(texels, 6, rotate=20.0), atol=1e-6)  # fmt: skip
+    for wrong in (np.eye(4), -np.eye(3), 2 * np.eye(3), np.full((3, 3), np.nan), "north"):
         with pytest.raises(UserError, match="rotation must be"):
             project_environment(texels, 6, rotate=wrong)
 
