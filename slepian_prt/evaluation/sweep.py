@@ -13,7 +13,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.compression.grouping import Grouping, grouped
 from slepian_prt.compression.pipeline import compress
 from slepian_prt.compression.settings import Settings
 from slepian_prt.errors import UserError
@@ -343,6 +344,8 @@ class _Measure:
     environments: tuple[Environment, ...]
     vertices: NDArray[np.int64]
     references: tuple[ReferenceVertices, ...]
+    # Caps by their number, which no other axis changes, and the seconds that they took.
+    _groupings: dict[int, tuple[Grouping, float]] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def made(cls, ready: Ready, transfer: Transfer, environments: Sequence[Environment], noise: float) -> _Measure:
@@ -362,7 +365,12 @@ class _Measure:
         """Compress transfer of the highest bandlimit as a setting wants it, and measure."""
         size = num_coefficients(setting.bandlimit)
         cut = replace(transfer, bandlimit=setting.bandlimit, vectors=transfer.vectors[:, :, :size], environment=None)
-        packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=setting.clusters)
+        if setting.clusters not in self._groupings:
+            begin = time.perf_counter()
+            grouping = grouped(Settings(clusters=setting.clusters), transfer)
+            self._groupings[setting.clusters] = grouping, time.perf_counter() - begin
+        grouping, grouped_in = self._groupings[setting.clusters]
+        packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=grouping)
         traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage in _TRACED)
         lights = [project_environment(environment, setting.bandlimit) for environment in self.environments]
         packed.radiance(lights[0])  # prepares it
@@ -376,7 +384,7 @@ class _Measure:
             packed.bytes_per_vertex,
             traced * part,
             spread,
-            packed.seconds["compress"],
+            packed.seconds["compress"] + grouped_in,
             seconds,
         )
 
