@@ -650,3 +650,23 @@ def test_spectra_are_those_of_the_colour(mi):
         spectrum = weights @ colour @ np.stack(smooth_basis(wavelengths))
         found = np.array(mi.xyz_to_srgb(mi.Color3f(*(matching @ spectrum * 0.5).tolist()))).ravel()
         np.testing.assert_allclose(found, colour, atol=2e-3)
+
+
+@pytest.mark.parametrize("hide", [True, False])
+def test_a_lamp_before_the_model(hide, mi, folder, log):
+    """Drawn, or looked through, as `direct` does; its light does not reach the model, which is told."""
+    turn = mi.ScalarTransform4f().look_at([0.5, 1.0, 2.0], [1.0, 2.0, 4.0], [0, 1, 0]).scale(0.4)
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": 7.0}}
+    lamp = {"type": "rectangle", "to_world": turn, "emitter": emitter}
+    scene = loaded(mi, folder, integrator={"hide_emitters": hide}, lamp=lamp)
+    ours = picture(mi, scene)
+    middle = ours[14:18, 14:18]
+    if hide:
+        radiance = relight(packed_of(folder), project_environment(sky(), 6))
+        expected = painted(mi, loaded(mi, folder), radiance)
+        np.testing.assert_allclose(middle, expected[14:18, 14:18], atol=1e-4)
+    else:
+        np.testing.assert_allclose(middle, 7.0, rtol=1e-5)
+    assert [text for text in log if "does not reach shapes of bumpy.prt" in text]
+    theirs = picture(mi, scene, integrator=mi.load_dict({"type": "direct", "hide_emitters": hide}), spp=64)
+    np.testing.assert_array_equal(ours[0, 0] == 0.0, theirs[0, 0] == 0.0)
