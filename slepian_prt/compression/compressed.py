@@ -218,6 +218,11 @@ class CompressedTransfer:
         values[~self.mesh.receivers[self.clusters.members[c]]] = 0.0
         return Factors(values, functions.reshape(-1, self.channels, size))
 
+    @cached_property
+    def turned(self) -> tuple[bool, ...]:
+        """Which caps are coded along their principal axes."""
+        return tuple(found.axes is not None for found in self._decoded)
+
     def cap(self, number: int) -> tuple[NDArray[np.int64], CapCoefficients]:
         """One cap's vertices and coefficients, the others left alone."""
         members = self.clusters.members[number]

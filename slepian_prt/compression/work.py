@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -46,6 +46,21 @@ _ATTEMPTS = 3
 _CLOSE = 0.95
 
 
+@dataclass(frozen=True)
+class Start:
+    """What much the same coefficients were coded with: tried first, which saves most of the time.
+
+    Attributes
+    ----------
+    tuning : codec.Tuning
+    turned : tuple of bool
+        Which caps' coefficients were turned to their principal axes.
+    """
+
+    tuning: codec.Tuning
+    turned: tuple[bool, ...]
+
+
 class Work:
     """One compression: what was decided, and how blocks become caps.
 
@@ -68,7 +83,9 @@ class Work:
         seed: int,
         *,
         toward_view: bool = False,
+        start: Start | None = None,
     ) -> None:
+        self._start = start
         self.settings, self.mesh, self.bandlimit, self._seed = settings, mesh, bandlimit, seed
         self.clusters = grouping.clusters
         self._toward_view = toward_view
@@ -310,14 +327,19 @@ class Work:
                 sampled += int(sizes[c])
         samples = [caps.along(c) for c in chosen]
         finest = caps.largest() / codec.LARGEST_MULTIPLE
-        tuning = codec.tune(samples, wanted * sampled / int(sizes.sum()), finest)
+        turned: Sequence[bool] = ()
+        if self._start is None:
+            tuning = codec.tune(samples, wanted * sampled / int(sizes.sum()), finest)
+        else:
+            tuning, turned = self._start.tuning, self._start.turned
         del samples
         best: tuple[codec.Tuning, list[codec.EncodedCap]] | None = None
         attempts = 0
         encoded: list[codec.EncodedCap] = []
         while True:
             attempts += 1
-            encoded = [self._encode(caps, c, tuning, encoded) for c in range(len(self.bases))]
+            encoded = [self._encode(caps, c, tuning, turned) for c in range(len(self.bases))]
+            turned = [cap.turned for cap in encoded]  # a slightly different step does not change what pays
             distortion = sum(cap.distortion for cap in encoded)
             if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
                 best = tuning, encoded
@@ -328,8 +350,8 @@ class Work:
             change = (0.5 * (1.0 + _CLOSE) * wanted / distortion) ** 0.65
             tuning = replace(tuning, step=max(tuning.step * min(max(change, 0.25), 4.0), finest))
 
-    def _encode(self, caps: Caps, c: int, tuning: codec.Tuning, before: list[codec.EncodedCap]) -> codec.EncodedCap:
+    def _encode(self, caps: Caps, c: int, tuning: codec.Tuning, turned: Sequence[bool]) -> codec.EncodedCap:
         turn = False if self.settings.needs_all_vectors else self.settings.refine
-        if before:  # a slightly different step does not change what pays
-            turn = before[c].turned
+        if len(turned):
+            turn = turned[c]
         return codec.encode_cap(*caps.along(c), tuning, turn=turn)

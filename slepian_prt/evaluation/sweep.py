@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping, grouped
 from slepian_prt.compression.pipeline import compress
 from slepian_prt.compression.settings import Settings
@@ -115,7 +116,8 @@ class Point:
         The same of full SH, before compression.
     bytes_per_vertex : float
     transport_seconds, compress_seconds : float
-        Transport below the highest bandlimit is scaled from it by the times on a sample of vertices.
+        Transport below the highest bandlimit is scaled from it by the times on a sample of vertices. Compression was
+        timed with the largest number of rays, which hardly matters to it.
     transport_spread : float
         Of some runs on that sample, longest less shortest over the median.
     relight_seconds : float
@@ -276,9 +278,10 @@ def sweep(
         advance(len(found), len(settings))
     measure: _Measure | None = None
     shared: dict[str, float] = {}
-    for samples in axes.samples:
+    order = sorted(axes.samples, reverse=True)
+    for samples in order:
         left = [setting for setting in settings if setting.samples == samples and setting not in found]
-        if not left and (measure is not None or samples != axes.samples[-1]):
+        if not left and (measure is not None or samples != order[-1]):
             continue
         own = replace(job, samples=samples, bandlimit=max(axes.bandlimits))
         tell(f"transport, {samples} rays, L = {own.bandlimit}")
@@ -346,6 +349,8 @@ class _Measure:
     references: tuple[ReferenceVertices, ...]
     # Caps by their number, which no other axis changes, and the seconds that they took.
     _groupings: dict[int, tuple[Grouping, float]] = field(default_factory=dict, init=False, repr=False)
+    # What was coded with the largest number of rays.
+    _coded: dict[Setting, CompressedTransfer] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def made(cls, ready: Ready, transfer: Transfer, environments: Sequence[Environment], noise: float) -> _Measure:
@@ -370,7 +375,15 @@ class _Measure:
             grouping = grouped(Settings(clusters=setting.clusters), transfer)
             self._groupings[setting.clusters] = grouping, time.perf_counter() - begin
         grouping, grouped_in = self._groupings[setting.clusters]
-        packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=grouping)
+        # The largest number of rays comes first and is timed; others start from what it was coded with.
+        alike = replace(setting, samples=0)
+        first = self._coded.get(alike)
+        packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=grouping, like=first)
+        compressed_in = packed.seconds["compress"] + grouped_in
+        if first is None:
+            self._coded[alike] = replace(packed, seconds={"compress": compressed_in})
+        else:
+            compressed_in = first.seconds["compress"]
         traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage in _TRACED)
         lights = [project_environment(environment, setting.bandlimit) for environment in self.environments]
         packed.radiance(lights[0])  # prepares it
@@ -384,7 +397,7 @@ class _Measure:
             packed.bytes_per_vertex,
             traced * part,
             spread,
-            packed.seconds["compress"] + grouped_in,
+            compressed_in,
             seconds,
         )
 

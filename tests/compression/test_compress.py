@@ -251,3 +251,16 @@ def test_adapted_prediction_on_the_skull(data):
     for terms in (4, 16, 36, 64):
         packed = compress(transfer, "adapted", terms=terms)
         assert packed.predicted_error == pytest.approx(error(packed, transfer), rel=0.1)
+
+
+def test_starting_from_what_much_the_same_was_coded_with(shadowed):
+    fewer = precompute(bumpy(4), bandlimit=6, samples=64)
+    before = compress(shadowed, tolerance=0.05, clusters=16)
+    cold, warm = compress(fewer, tolerance=0.05, clusters=16), compress(fewer, tolerance=0.05, clusters=16, like=before)
+    error = np.linalg.norm(warm.reconstruct() - fewer.vectors[:, 0]) / np.linalg.norm(fewer.vectors)
+    assert error <= 0.05 * (1.0 + 1e-6)
+    assert warm.bytes_per_vertex <= 1.05 * cold.bytes_per_vertex
+    assert warm.turned == before.turned
+    # Other caps, or nothing coded: it starts afresh.
+    other = compress(fewer, tolerance=0.05, clusters=8, like=before)
+    assert other.bytes_per_vertex == compress(fewer, tolerance=0.05, clusters=8).bytes_per_vertex
