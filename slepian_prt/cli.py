@@ -440,8 +440,8 @@ def _numbers(kind: type, text: str, name: str) -> tuple[Any, ...]:
 @click.option("--clusters", default="96", show_default=True, metavar="N,…", help="Numbers of caps.")
 @click.option("--basis", default="adapted", show_default=True, metavar="NAME,…", help="Functions to compress with.")
 @click.option("--tolerance", default="0.2,0.05,0.02", show_default=True, metavar="E,…", help="Of compression.")
+@click.option("--bounces", metavar="N,…", help="Of light between surfaces.  [default: until the rest is below 0.1 %]")
 @effects_option
-@bounces_option
 @albedo_option
 @seed_option
 @rotate_option
@@ -456,8 +456,8 @@ def sweep(
     clusters: str,
     basis: str,
     tolerance: str,
+    bounces: str | None,
     effects: str,
-    bounces: int | None,
     albedo: str | None,
     seed: int,
     rotate: float,
@@ -480,9 +480,10 @@ def sweep(
         _numbers(int, clusters, "clusters"),
         tuple(basis.split(",")),
         _numbers(float, tolerance, "tolerance"),
+        (None,) if bounces is None else _numbers(int, bounces, "bounces"),
     )
     axes.check()
-    job = Job(effects=effects, bounces=bounces, albedo=read_albedo(albedo), seed=seed)
+    job = Job(effects=effects, albedo=read_albedo(albedo), seed=seed)
     check_noise(noise)
     check_folder(output)
     maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]

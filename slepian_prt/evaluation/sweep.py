@@ -40,6 +40,9 @@ REFERENCE_VERTICES = 4000
 _TIMED = 2048
 _RUNS = 3
 
+# Of a reference for transfer with as many bounces as matter.
+_MANY_BOUNCES = 16
+
 # Stages of a transfer that grow with its rays and vertices.
 _TRACED = ("transport", "interreflection")
 
@@ -55,6 +58,8 @@ class Axes:
     samples, bandlimits, clusters : tuple of int
     bases : tuple of str
     tolerances : tuple of float
+    bounces : tuple of int or None
+        Of light between surfaces; None until what is left is negligible.
     """
 
     samples: tuple[int, ...] = (64, 256, 1024)
@@ -62,6 +67,7 @@ class Axes:
     clusters: tuple[int, ...] = (96,)
     bases: tuple[str, ...] = ("adapted",)
     tolerances: tuple[float, ...] = (0.2, 0.05, 0.02)
+    bounces: tuple[int | None, ...] = (None,)
 
     def check(self) -> None:
         """
@@ -75,8 +81,8 @@ class Axes:
                 raise UserError(f"{name} has no values to sweep over")
             if len(set(values)) < len(values):
                 raise UserError(f"{name} has a value twice: {', '.join(map(str, values))}")
-        for samples, bandlimit in product(self.samples, self.bandlimits):
-            Job(bandlimit, samples)
+        for samples, bandlimit, bounces in product(self.samples, self.bandlimits, self.bounces):
+            Job(bandlimit, samples, bounces=bounces)
         for setting in self.settings():
             Settings(basis=setting.basis, tolerance=setting.tolerance, clusters=setting.clusters).check(
                 setting.bandlimit
@@ -84,8 +90,10 @@ class Axes:
 
     def settings(self) -> Iterator[Setting]:
         """All combinations, those that share most next to each other."""
-        for values in product(self.samples, self.bandlimits, self.clusters, self.bases, self.tolerances):
-            yield Setting(*values)
+        for samples, bounces in product(self.samples, self.bounces):
+            for bandlimit, clusters in product(self.bandlimits, self.clusters):
+                for basis, tolerance in product(self.bases, self.tolerances):
+                    yield Setting(samples, bandlimit, clusters, basis, tolerance, bounces)
 
 
 @dataclass(frozen=True)
@@ -97,10 +105,13 @@ class Setting:
     clusters: int
     basis: str
     tolerance: float
+    bounces: int | None = None
 
     @property
     def label(self) -> str:
-        return f"{self.samples} rays, L = {self.bandlimit}, {self.clusters} caps, {self.basis}, {self.tolerance:g}"
+        bounced = "" if self.bounces is None else f"{self.bounces} bounces, "
+        own = f"L = {self.bandlimit}, {self.clusters} caps, {self.basis}, {self.tolerance:g}"
+        return f"{self.samples} rays, {bounced}{own}"
 
 
 @dataclass(frozen=True)
@@ -212,12 +223,17 @@ def pareto(points: Sequence[Point], environment: str, cost: str) -> list[Point]:
     return front
 
 
+def _effort(value: float | None) -> float:
+    """None is as many bounces as matter."""
+    return float("inf") if value is None else value
+
+
 def findings(sweep: Sweep) -> list[str]:
     """Where more effort along one axis makes the error larger by more than noise explains: said, not hidden."""
     by_setting = {point.setting: point for point in sweep.points}
     found = []
-    for axis in ("samples", "bandlimit", "tolerance"):
-        values = sorted({getattr(s, axis) for s in by_setting}, reverse=axis == "tolerance")
+    for axis in ("samples", "bandlimit", "bounces", "tolerance"):
+        values = sorted({getattr(s, axis) for s in by_setting}, key=_effort, reverse=axis == "tolerance")
         for setting, point in by_setting.items():
             place = values.index(getattr(setting, axis))
             if place + 1 == len(values):
@@ -227,7 +243,7 @@ def findings(sweep: Sweep) -> list[str]:
                 continue
             for name in sweep.environments:
                 if better.error[name] > point.error[name] * 1.02 + 0.1 * sweep.noise[name]:
-                    step = f"{axis} {getattr(setting, axis):g} to {values[place + 1]:g}"
+                    step = f"{axis} {getattr(setting, axis)} to {values[place + 1]}"
                     found.append(
                         f"Under {name}, {step} raises the error from {point.error[name]:.2%} to "
                         f"{better.error[name]:.2%} ({setting.label})."
@@ -255,7 +271,7 @@ def sweep(
     environments : maps
     axes : Axes
     job : Job
-        Of it the effects, bounces, albedo and seed count.
+        Of it the effects, albedo and seed count.
     noise : wanted relative RMS noise of the references
     journal : path
         Where finished settings are kept until all are done; those found there are not measured again.
@@ -278,12 +294,13 @@ def sweep(
         advance(len(found), len(settings))
     measure: _Measure | None = None
     shared: dict[str, float] = {}
-    order = sorted(axes.samples, reverse=True)
-    for samples in order:
-        left = [setting for setting in settings if setting.samples == samples and setting not in found]
-        if not left and (measure is not None or samples != order[-1]):
+    # The most rays first: what is coded with them helps the others.
+    traced = list(product(sorted(axes.samples, reverse=True), axes.bounces))
+    for samples, bounces in traced:
+        left = [s for s in settings if (s.samples, s.bounces) == (samples, bounces) and s not in found]
+        if not left and (measure is not None or (samples, bounces) != traced[-1]):
             continue
-        own = replace(job, samples=samples, bandlimit=max(axes.bandlimits))
+        own = replace(job, samples=samples, bandlimit=max(axes.bandlimits), bounces=bounces)
         tell(f"transport, {samples} rays, L = {own.bandlimit}")
         with own.opened(scene, on_plan if measure is None else (lambda _: None)) as ready:
             begin = time.perf_counter()
@@ -294,7 +311,8 @@ def sweep(
             transfer = ready.transfer()
             if measure is None:
                 tell("references")
-                measure = _Measure.made(ready, transfer, environments, noise)
+                most = max(_MANY_BOUNCES if n is None else n for n in axes.bounces)
+                measure = _Measure.made(ready, transfer, environments, noise, most)
                 shared["references"] = sum(reference.seconds for reference in measure.references)
         shared |= {stage: transfer.seconds[stage] for stage in ("load", "plan")}
         for setting in left:
@@ -353,14 +371,17 @@ class _Measure:
     _coded: dict[Setting, CompressedTransfer] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
-    def made(cls, ready: Ready, transfer: Transfer, environments: Sequence[Environment], noise: float) -> _Measure:
+    def made(
+        cls, ready: Ready, transfer: Transfer, environments: Sequence[Environment], noise: float, most_bounces: int
+    ) -> _Measure:
         receivers = np.flatnonzero(ready.scene.mesh.receivers)
         rng = np.random.default_rng(transfer.seed)
         vertices = np.sort(rng.choice(receivers, min(REFERENCE_VERTICES, receivers.size), replace=False))
         view = transfer.view if transfer.toward_view else None
+        bounces = most_bounces if ready.plan.interreflection else 0
         references = tuple(
             vertex_reference(
-                ready.mi, ready.scene, environment, noise=noise, bounces=transfer.bounces, view=view, vertices=vertices
+                ready.mi, ready.scene, environment, noise=noise, bounces=bounces, view=view, vertices=vertices
             )
             for environment in environments
         )
@@ -455,7 +476,7 @@ class Journal:
 def _fingerprint(scene: str | Path, environments: Sequence[Environment], job: Job, noise: float) -> str:
     """Of everything but the axes that a point depends on."""
     digest = hashlib.sha256()
-    own = replace(job, samples=1, bandlimit=0)
+    own = replace(job, samples=1, bandlimit=0, bounces=None)
     digest.update(repr((versions(), machine(), own, noise)).encode())
     digest.update(Path(scene).read_bytes())
     for environment in environments:

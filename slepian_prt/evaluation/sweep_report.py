@@ -54,8 +54,9 @@ def _csv(sweep: Sweep) -> str:
     """One line for each setting and environment."""
     text = io.StringIO()
     fields = [
-        "samples", "bandlimit", "clusters", "basis", "tolerance", "environment", "error", "full_error", "noise",
-        "bytes_per_vertex", "transport_seconds", "transport_spread", "compress_seconds", "seconds", "relight_seconds",
+        "samples", "bounces", "bandlimit", "clusters", "basis", "tolerance", "environment", "error", "full_error",
+        "noise", "bytes_per_vertex", "transport_seconds", "transport_spread", "compress_seconds", "seconds",
+        "relight_seconds",
     ]  # fmt: skip
     writer = csv.DictWriter(text, fields, lineterminator="\n")
     writer.writeheader()
@@ -119,6 +120,7 @@ def _short(sweep: Sweep, point: Point) -> str:
         "clusters": f"{own.clusters} caps",
         "basis": own.basis,
         "tolerance": f"tolerance {own.tolerance:g}",
+        "bounces": "all bounces" if own.bounces is None else f"{own.bounces} bounces",
     }
     varied = [text for field, text in named.items() if len({getattr(p.setting, field) for p in sweep.points}) > 1]
     return ", ".join(varied) or own.label

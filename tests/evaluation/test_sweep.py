@@ -78,6 +78,17 @@ def test_lower_bandlimits_are_the_first_coefficients(folder, found):
     assert alone.points[0].error["sky"] == pytest.approx(shared.error["sky"], rel=0.03)
 
 
+def test_bounces_are_an_axis(folder):
+    """The first bounce on a bright surface matters; what is left after it is below the noise here."""
+    axes = replace(AXES, samples=(256,), bandlimits=(6,), tolerances=(0.02,), bounces=(None, 0, 1))
+    environments = [make_environment(sky(), name="sky")]
+    found = sweeping.sweep(folder / "bumpy.ply", environments, axes, Job(albedo=0.9), noise=0.01)
+    error = {p.setting.bounces: p.error["sky"] for p in found.points}
+    assert error[0] > 1.3 * error[1]
+    assert error[0] > 1.3 * error[None]
+    assert "0 bounces" in next(p.setting.label for p in found.points if p.setting.bounces == 0)
+
+
 def test_the_front():
     points = [
         point(error=0.3, seconds=1.0), point(error=0.2, seconds=2.0), point(error=0.25, seconds=3.0),
