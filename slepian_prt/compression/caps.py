@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.clusters import Clusters
 from slepian_prt.compression.store import Block, Store
-from slepian_prt.compression.surface import CapSurface, Surface
+from slepian_prt.compression.surface import CapSurface, surface_of
 from slepian_prt.scene.meshes import Mesh
-
-# Surfaces take some 300 bytes per vertex; those of larger meshes are made each time they are needed.
-_REMEMBERED = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +35,6 @@ class Caps:
     widths: NDArray[np.int64]
     store: Store
     overrides: dict[int, Block]
-    _remembered: dict[int, CapSurface] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def _starts(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]:
@@ -48,10 +44,6 @@ class Caps:
     def _starts_of(self, block: Block) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         sizes = np.bincount(self.clusters.index[block.vertices], minlength=len(self.widths))
         return tuple(np.concatenate([[0], np.cumsum(n)]) for n in (sizes, sizes * self.widths))  # type: ignore[return-value]
-
-    @cached_property
-    def _surface(self) -> Surface:
-        return Surface(self.mesh)
 
     def energies(self) -> tuple[float, float]:
         """Sums over all vertices of the squared norms of (weighted) vectors and of what the bases miss."""
@@ -94,7 +86,5 @@ class Caps:
     def along(self, c: int) -> tuple[NDArray[np.float32], CapSurface]:
         """(n, K channels) coefficients of a cap in the order of coding, with its surface."""
         members = self.clusters.members[c]
-        surface = self._remembered.get(c) or self._surface.cap(members)
-        if len(self.mesh.positions) <= _REMEMBERED:
-            self._remembered[c] = surface
+        surface = surface_of(self.mesh).cap(members)
         return self.members(c)[np.searchsorted(members, surface.order)], surface

@@ -20,7 +20,7 @@ from slepian_prt.compression.operator import Factors, TransferOperator, without_
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer, channel_mixing
 from slepian_prt.compression.prediction import Expectation
-from slepian_prt.compression.surface import Surface
+from slepian_prt.compression.surface import surface_of
 from slepian_prt.errors import UserError
 from slepian_prt.scene.cameras import View
 from slepian_prt.scene.meshes import Mesh, morton
@@ -228,7 +228,7 @@ class CompressedTransfer:
         members = self.clusters.members[number]
         if self.coded is None:
             return members, CapCoefficients(self.coefficients[number].astype(np.float32), None)
-        surface = self._surface.cap(members)
+        surface = surface_of(self.mesh).cap(members)
         components = self.bases[number].count * self.channels
         decoded = codec.decode_cap(self.coded.words[number], components, surface, self.coded.tuning)
         values = np.empty(decoded.multiples.shape, dtype=np.float32)
@@ -238,10 +238,6 @@ class CompressedTransfer:
     @cached_property
     def _decoded(self) -> list[CapCoefficients]:
         return [self.cap(c)[1] for c in range(len(self.bases))]
-
-    @cached_property
-    def _surface(self) -> Surface:
-        return Surface(self.mesh)
 
     @cached_property
     def _axes(self) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ Everything here is integer arithmetic on what the file holds, so that encoder an
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,6 +29,10 @@ _WEIGHT = 1 << 16
 
 # Neighbours of neighbours are looked at too, unless a fan of triangles makes them more than this per vertex.
 _MANY = 64
+
+# Caps take some 300 bytes per vertex; those of larger meshes are made each time they are needed.
+_REMEMBERED = 1 << 17
+_KEPT = "_surface"
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,15 @@ class CapSurface:
     levels: tuple[Level, ...]
 
 
+def surface_of(mesh: Mesh) -> Surface:
+    """The surface of a mesh, made once, so that all that code or decode the same caps share them."""
+    known: Surface | None = mesh.__dict__.get(_KEPT)
+    if known is None:
+        known = Surface(mesh)
+        mesh.__dict__[_KEPT] = known  # beside the fields of the frozen mesh, like a cached property
+    return known
+
+
 class Surface:
     """The mesh as the codec sees it.
 
@@ -86,6 +100,7 @@ class Surface:
         extent = float((mesh.positions.max(axis=0) - low).max())
         self._places = np.rint((mesh.positions - low) * (_PLACES / extent if extent > 0.0 else 0.0)).astype(np.int64)
         self._turns = np.rint(mesh.normals.astype(np.float32).astype(np.float64) * _TURNS).astype(np.int64)
+        self._caps: dict[bytes, CapSurface] = {}
 
     @cached_property
     def _edge(self) -> int:
@@ -96,6 +111,14 @@ class Surface:
 
     def cap(self, members: NDArray) -> CapSurface:
         """The given vertices along a Z-order curve, and how they tell each other."""
+        if len(self._rank) > _REMEMBERED:
+            return self._cap(members)
+        key = hashlib.sha256(members.astype(np.int64).tobytes()).digest()
+        if key not in self._caps:
+            self._caps[key] = self._cap(members)
+        return self._caps[key]
+
+    def _cap(self, members: NDArray) -> CapSurface:
         order = members[np.argsort(self._rank[members], kind="stable")]
         near = self._neighbours[order][:, order]
         degree = np.diff(near.indptr)
