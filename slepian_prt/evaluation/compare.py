@@ -190,23 +190,19 @@ def compare(
             for environment, radiance in zip(environments, full, strict=True)
         ]
     shown = min(wanted, key=lambda k: abs(k - 16))
+    seen = _Seen(transfer, lighting, full, views, camera)
     measured = []
     lossy: dict[str, tuple[str, Entry]] = {}
     for entry in entries(transfer, made, methods, wanted, lighting, status):
-        measured.append(_measure(entry, transfer, lighting, full, views, camera))
+        measured.append(seen.measured(entry))
         if entry.method == methods[0] and (entry.asked == shown or entry.coding == "coded"):
             # Of the coded ones the last, which is the most exact.
             title = f"{entry.method}, {entry.terms:.3g} functions" + (", coded" if entry.coding == "coded" else "")
             lossy[entry.coding] = (title, entry)
         if entry.asked == shown:
-            for seen, light in zip(views, lighting, strict=True):
-                seen.compressed[entry.method] = camera.picture(entry.made.radiance(light))
+            seen.keep_pictures(entry)
     status("ladder")
-    rungs: list[Rung] = []
-    for view, radiance, light in zip(views, full, lighting, strict=True):
-        stages = _stages(transfer, view, radiance, list(lossy.values()), light)
-        drawn = view.reference
-        rungs += ladder(view.environment.name, drawn.picture, drawn.noise, drawn.seconds, camera, stages)
+    rungs = seen.rungs(list(lossy.values()))
     angles = [cap.half_angle for cap in clusters.caps]
     return Comparison(
         transfer,
@@ -243,56 +239,77 @@ def _view(
     return View(environment, reference, vertices, camera.picture(vertices.radiance), camera.picture(full))
 
 
-def _measure(
-    entry: Entry,
-    transfer: Transfer,
-    lighting: list[NDArray],
-    full: list[NDArray],
-    views: list[View],
-    camera: Camera,
-) -> Method:
-    relit_error, image_error, predicted, times, seams = {}, {}, {}, [], []
-    for light, reference, view in zip(lighting, full, views, strict=True):
-        radiance = entry.made.radiance(light)  # the first call prepares the functions
-        for _ in range(3):
-            begin = time.perf_counter()
-            radiance = entry.made.radiance(light)
-            times.append(time.perf_counter() - begin)
-        name = view.environment.name
-        relit_error[name] = relative_rms(radiance, reference)
-        image_error[name] = relative_rms(camera.picture(radiance).radiance, view.reference.picture.radiance)
-        if entry.packed is not None:
-            predicted[name] = entry.packed.predicted_relit_error(light)
-            seams.append(seam(radiance, reference, transfer.mesh.faces, entry.packed.clusters.index))
-    return Method(
-        entry.method,
-        entry.coding,
-        entry.terms,
-        entry.made.bytes_per_vertex,
-        relative_rms(entry.made.reconstruct().ravel(), transfer.vectors.ravel()),
-        None if entry.packed is None else entry.packed.predicted_error,
-        relit_error,
-        predicted,
-        image_error,
-        float(np.mean([across for across, _ in seams])) if seams else None,
-        float(np.mean([within for _, within in seams])) if seams else None,
-        entry.seconds,
-        float(np.median(times)),
-    )
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What entries are measured against: lights, full SH under each, and pictures of it.
 
+    Attributes
+    ----------
+    transfer : Transfer
+    lighting, full, views : one for each environment
+    camera : Camera
+    """
 
-def _stages(
-    transfer: Transfer, view: View, full: NDArray, lossy: Sequence[tuple[str, Entry]], light: NDArray
-) -> list[Stage]:
-    """From radiance without a bandlimit down to coded coefficients, under one environment."""
-    reference, size = view.vertices, 2.0 * transfer.vectors[0].size
-    traced = sum(value for stage, value in transfer.seconds.items() if stage not in ("load", "plan"))
-    name = f"full SH, bandlimit {transfer.bandlimit}"
-    return [
-        Stage("radiance at the vertices, no bandlimit", reference.radiance, reference.noise, reference.seconds, None),
-        Stage(name, full, 0.0, traced, size),
-        *(
-            Stage(title, entry.made.radiance(light), 0.0, entry.seconds, entry.made.bytes_per_vertex)
-            for title, entry in lossy
-        ),
-    ]
+    transfer: Transfer
+    lighting: list[NDArray]
+    full: list[NDArray]
+    views: list[View]
+    camera: Camera
+
+    def measured(self, entry: Entry) -> Method:
+        """Errors, bytes and seconds of one entry."""
+        relit_error, image_error, predicted, times, seams = {}, {}, {}, [], []
+        for light, reference, view in zip(self.lighting, self.full, self.views, strict=True):
+            radiance = entry.made.radiance(light)  # the first call prepares the functions
+            for _ in range(3):
+                begin = time.perf_counter()
+                radiance = entry.made.radiance(light)
+                times.append(time.perf_counter() - begin)
+            name, drawn = view.environment.name, view.reference.picture.radiance
+            relit_error[name] = relative_rms(radiance, reference)
+            image_error[name] = relative_rms(self.camera.picture(radiance).radiance, drawn)
+            if entry.packed is not None:
+                predicted[name] = entry.packed.predicted_relit_error(light)
+                seams.append(seam(radiance, reference, self.transfer.mesh.faces, entry.packed.clusters.index))
+        return Method(
+            entry.method,
+            entry.coding,
+            entry.terms,
+            entry.made.bytes_per_vertex,
+            relative_rms(entry.made.reconstruct().ravel(), self.transfer.vectors.ravel()),
+            None if entry.packed is None else entry.packed.predicted_error,
+            relit_error,
+            predicted,
+            image_error,
+            float(np.mean([across for across, _ in seams])) if seams else None,
+            float(np.mean([within for _, within in seams])) if seams else None,
+            entry.seconds,
+            float(np.median(times)),
+        )
+
+    def keep_pictures(self, entry: Entry) -> None:
+        """For the report."""
+        for view, light in zip(self.views, self.lighting, strict=True):
+            view.compressed[entry.method] = self.camera.picture(entry.made.radiance(light))
+
+    def rungs(self, lossy: Sequence[tuple[str, Entry]]) -> list[Rung]:
+        """The ladders of all environments; of what is lossy, titles and entries."""
+        found: list[Rung] = []
+        for view, full, light in zip(self.views, self.full, self.lighting, strict=True):
+            drawn, stages = view.reference, self._stages(view, full, light, lossy)
+            found += ladder(view.environment.name, drawn.picture, drawn.noise, drawn.seconds, self.camera, stages)
+        return found
+
+    def _stages(self, view: View, full: NDArray, light: NDArray, lossy: Sequence[tuple[str, Entry]]) -> list[Stage]:
+        """From radiance without a bandlimit down to coded coefficients, under one environment."""
+        exact, transfer = view.vertices, self.transfer
+        traced = sum(value for stage, value in transfer.seconds.items() if stage not in ("load", "plan"))
+        size = 2.0 * transfer.vectors[0].size  # in float16
+        return [
+            Stage("radiance at the vertices, no bandlimit", exact.radiance, exact.noise, exact.seconds, None),
+            Stage(f"full SH, bandlimit {transfer.bandlimit}", full, 0.0, traced, size),
+            *(
+                Stage(title, entry.made.radiance(light), 0.0, entry.seconds, entry.made.bytes_per_vertex)
+                for title, entry in lossy
+            ),
+        ]
