@@ -388,7 +388,6 @@ def compare(
     from slepian_prt.evaluation.compare import DEFAULT_TERMS
     from slepian_prt.evaluation.compare import compare as run
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
-    from slepian_prt.scene.environments import read_environment
     from slepian_prt.transport.transfer import Job
 
     job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
@@ -399,11 +398,7 @@ def compare(
         Settings(terms=k).check(job.bandlimit)
     check_width(width)
     check_folder(output)
-    maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]
-    check_names(maps)
-    for path, light in zip(environment, maps, strict=True):
-        if light.clamped:
-            note(f"{path}: {light.clamped} negative texels set to zero")
+    maps = read_maps(environment, clamp_negative, rotate)
     with progress("transport", "vertices") as (advance, tell):
         comparison = run(
             scene,
@@ -471,7 +466,6 @@ def sweep(
     from slepian_prt.compression.archive import check_folder
     from slepian_prt.evaluation import sweep as sweeping
     from slepian_prt.evaluation.sweep_report import describe, write_sweep
-    from slepian_prt.scene.environments import read_environment
     from slepian_prt.transport.transfer import Job
 
     axes = sweeping.Axes(
@@ -486,18 +480,12 @@ def sweep(
     job = Job(effects=effects, albedo=read_albedo(albedo), seed=seed)
     check_noise(noise)
     check_folder(output)
-    maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in environment]
-    check_names(maps)
-    for path, light in zip(environment, maps, strict=True):
-        if light.clamped:
-            note(f"{path}: {light.clamped} negative texels set to zero")
-    folder = Path(output)
-    folder.mkdir(parents=True, exist_ok=True)
+    maps = read_maps(environment, clamp_negative, rotate)
+    journal = Path(output) / "sweep.partial.jsonl"
     with progress("settings", "settings") as (advance, tell):
         found = sweeping.sweep(
-            scene, maps, axes, job, noise=noise, journal=folder / "sweep.partial.jsonl", tell=tell, advance=advance,
-            on_plan=print_plan,
-        )  # fmt: skip
+            scene, maps, axes, job, noise=noise, journal=journal, tell=tell, advance=advance, on_plan=print_plan
+        )
     page = write_sweep(found, output, "slepian-prt " + shlex.join(sys.argv[1:]))
     for sentence in sweeping.findings(found):
         note(sentence)
@@ -618,6 +606,18 @@ def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
     )
 
 
+def read_maps(paths: Sequence[str], clamp_negative: bool, rotate: float) -> list[Any]:
+    """The environments that are named; what was mended in them is noted."""
+    from slepian_prt.scene.environments import check_names, read_environment
+
+    check_names(paths)
+    maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in paths]
+    for path, light in zip(paths, maps, strict=True):
+        if light.clamped:
+            note(f"{path}: {light.clamped} negative texels set to zero")
+    return maps
+
+
 def note(text: str) -> None:
     """A remark on standard error."""
     click.echo(f"note: {text}", err=True)
@@ -627,13 +627,6 @@ def check_width(width: int | None) -> None:
     """Raise UserError unless a picture of that width is sensible."""
     if width is not None and not 16 <= width <= 8192:
         raise UserError(f"width must be between 16 and 8192 pixels, not {width}")
-
-
-def check_names(maps: Sequence[Any]) -> None:
-    """Raise UserError unless results under the maps can be told apart."""
-    names = [light.name for light in maps]
-    if len(set(names)) < len(names):
-        raise UserError(f"environments must have different names, not {', '.join(names)}; rename one of the files")
 
 
 def check_noise(noise: float) -> None:

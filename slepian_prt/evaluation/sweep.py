@@ -462,6 +462,7 @@ class Journal:
             return
         own = asdict(point)
         line = json.dumps({"key": self._key, "setting": own.pop("setting"), "point": own})
+        self._path.parent.mkdir(parents=True, exist_ok=True)
         with self._path.open("a") as file:
             file.write(line + "\n")
             file.flush()
@@ -478,7 +479,8 @@ def _fingerprint(scene: str | Path, environments: Sequence[Environment], job: Jo
     digest = hashlib.sha256()
     own = replace(job, samples=1, bandlimit=0, bounces=None)
     digest.update(repr((versions(), machine(), own, noise)).encode())
-    digest.update(Path(scene).read_bytes())
+    if Path(scene).is_file():  # if not, opening it says what is wrong
+        digest.update(Path(scene).read_bytes())
     for environment in environments:
         digest.update(repr((environment.name, environment.to_world.tolist())).encode())
         digest.update(environment.texels.tobytes())

@@ -93,12 +93,12 @@ class Held:
         same = self._surfaces is not None and [s.ptr for s in shapes] == [s.ptr for s in self._shapes]
         if same and not self._surfaces.changed():
             return False
-        self._surfaces = Surfaces(self._mi, scene, self.packed, self.name)
-        turn = self._surfaces.placement.rotation.T
+        surfaces = Surfaces(self._mi, scene, self.packed, self.name)
+        turn = surfaces.placement.rotation.T
         if self.packed.toward_view and np.abs(turn - np.eye(3)).max() > 1e-4:
             raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
         self._relit = Relit(self._mi, self.packed, turn, self._damping)
-        self._shapes = shapes
+        self._surfaces, self._shapes = surfaces, shapes
         return True
 
     def remarks(self) -> list[str]:

@@ -14,7 +14,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.relighting import outputs, picture
 from slepian_prt.relighting.relight import negative_part, relight
 from slepian_prt.relighting.windowing import damp, window
-from slepian_prt.scene.environments import about_up, project_checked
+from slepian_prt.scene.environments import about_up, check_names, project_checked
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.sphere.rotation import rotate_sh
 
@@ -69,9 +69,7 @@ class Lights:
                 raise UserError(f"turntable must be between 1 and {LARGEST_TURNTABLE} results, not {self.turntable}")
             if len(self.maps) > 1:
                 raise UserError("turntable turns one map; give one --environment")
-        names = [Path(path).stem for path in self.maps]
-        if len(set(names)) < len(names):
-            raise UserError(f"environments must have different names, not {', '.join(names)}; rename one of the files")
+        check_names(self.maps)
         if self.window is not None and self.window_width is not None:
             window(self.window, 0, self.window_width)
         elif self.window_width is not None:

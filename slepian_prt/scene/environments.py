@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,13 @@ def read_environment(path: str | Path, *, clamp_negative: bool = False) -> Envir
         negative texels that matter.
     """
     return _whole(file_rows(path), clamp_negative)
+
+
+def check_names(paths: Sequence[str | Path]) -> None:
+    """Raise UserError unless results under maps can be told apart by the names of their files."""
+    names = [Path(path).stem for path in paths]
+    if len(set(names)) < len(names):
+        raise UserError(f"environments must have different names, not {', '.join(names)}; rename one of the files")
 
 
 def make_environment(

@@ -179,6 +179,14 @@ def test_wrong_requests(arguments, message, folder):
     assert not (folder / "never").exists()
 
 
+def test_a_scene_that_is_not_there(folder):
+    command = [sys.executable, "-m", "slepian_prt", "sweep", "none.ply", "--environment", "sky.exr", "-o", "never"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "none.ply: no such file" in done.stderr
+    assert not (folder / "never").exists()
+
+
 def test_axes_without_values():
     with pytest.raises(UserError, match="tolerances has no values"):
         Axes(tolerances=()).check()

@@ -637,7 +637,9 @@ def test_a_scaled_map_is_refused(mi, folder, log):
 def test_loading_beside_plugins_that_read_files(mi, folder):
     """Scenes load in parallel; the plugin must not disturb what others look for."""
     for _ in range(15):
-        loaded(mi, folder, {"type": "sunsky", "sun_direction": [0.4, 0.7, 0.3]})
+        scene = loaded(mi, folder, {"type": "sunsky", "sun_direction": [0.4, 0.7, 0.3]})
+        assert scene.environment() is not None
+        assert "bumpy.prt" in str(scene.integrator())
 
 
 def test_spectra_are_those_of_the_colour(mi):
