@@ -8,6 +8,7 @@ import math
 import os
 import shlex
 import sys
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -198,25 +200,70 @@ def spectrum(
 @cli.command()
 @scene_argument
 @output_option
+@click.option(
+    "--max-error",
+    type=float,
+    metavar="E",
+    help="Choose rays, bandlimit and tolerance: the fastest whose radiance is off by at most E (0.05 is 5 %) under "
+    "--environment or light of the --light-prior.",
+)
+@click.option("--max-seconds", type=float, metavar="S", help="Choose them: the most exact that takes at most S.")
+@click.option(
+    "--environment",
+    multiple=True,
+    type=click.Path(),
+    help="Map that the goal is about; may be given several times.  [default: the light of the .xml scene]",
+)
 @job_options
 @compression_options
 @grouping_options
-def precompute(scene: str, output: str, light_prior: tuple[str, ...], **options: Any) -> None:
+@click.pass_context
+def precompute(
+    context: click.Context,
+    scene: str,
+    output: str,
+    max_error: float | None,
+    max_seconds: float | None,
+    environment: tuple[str, ...],
+    light_prior: tuple[str, ...],
+    **options: Any,
+) -> None:
     """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file.
 
     Stopped or killed, the same command goes on from the blocks of vertices that were finished.
+
+    With --max-error or --max-seconds, rays, bandlimit and tolerance are chosen from a pilot, unless they are given, and
+    what came of it is verified on vertices held out.
     """
+    from slepian_prt.budget.goal import Goal
     from slepian_prt.compression import archive
     from slepian_prt.compression.pipeline import precompute_compressed
     from slepian_prt.compression.settings import Settings
     from slepian_prt.transport.transfer import Job
 
+    started = time.perf_counter()
     job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
-    settings = Settings(**options, light_prior=read_prior(light_prior, job.bandlimit))
+    aimed = max_error is not None or max_seconds is not None
+    if environment and not aimed:
+        raise UserError("--environment says what --max-error and --max-seconds are about; give one of them too")
+    settings = Settings(**options, light_prior=None if aimed else read_prior(light_prior, job.bandlimit))
     settings.check(job.bandlimit)
     archive.check_writable(output, scene)
     if output and Path(output).suffix.lower() != ".prt":
         raise UserError(f"{output}: transfer files end in .prt; name the output so")
+    if aimed:
+        given = {n: context.get_parameter_source(n) is ParameterSource.COMMANDLINE for n in ("samples", "bandlimit")}
+        goal = Goal(
+            max_error,
+            max_seconds,
+            samples=job.samples if given["samples"] else None,
+            bandlimit=job.bandlimit if given["bandlimit"] else None,
+        )
+        goal.check()
+        packed = _precompute_within(scene, goal, read_light(environment, light_prior), settings, job, started)
+        packed.save(output)
+        click.echo(f"{output}: {_described(packed)}; {time.perf_counter() - started:.1f} s in all")
+        return
     with progress("transport", "vertices") as (advance, tell):
         packed = precompute_compressed(scene, settings, job, on_plan=print_plan, advance=advance, tell=tell)
     if job.bounces is not None and packed.bounces < job.bounces:
@@ -230,11 +277,49 @@ def precompute(scene: str, output: str, light_prior: tuple[str, ...], **options:
     seconds = packed.seconds
     under = f" under light of {packed.prior}" if packed.prior else ""
     click.echo(
-        f"{output}: {len(packed.mesh.positions)} vertices, {packed.basis}, {packed.terms:.4g} functions of "
-        f"{(job.bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.2f} bytes per vertex, "
-        f"predicted error {error:.2g}{under}; "
+        f"{output}: {_described(packed)}, predicted error {error:.2g}{under}; "
         f"{packed.rays_traced} rays in {seconds['transport']:.1f} s, compressed in {seconds['compress']:.1f} s"
     )
+
+
+def _described(packed: Any) -> str:
+    """What a transfer file holds, in short."""
+    return (
+        f"{len(packed.mesh.positions)} vertices, {packed.basis}, {packed.terms:.4g} functions of "
+        f"{(packed.bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.2f} bytes per vertex"
+    )
+
+
+def _precompute_within(scene: str, goal: Any, light: Any, settings: Any, job: Any, started: float) -> Any:
+    """Run towards a goal and tell what was foreseen and what came of it."""
+    from slepian_prt.budget.run import precompute_within
+
+    with progress("transport", "vertices") as (advance, tell):
+        found = precompute_within(
+            scene,
+            goal,
+            light,
+            settings,
+            job,
+            started=started,
+            on_plan=print_plan,
+            on_choice=print_choices,
+            advance=advance,
+            tell=tell,
+        )
+    checked = found.verification
+    for name, error, predicted, noise in zip(
+        checked.names, checked.error, checked.predicted, checked.noise, strict=True
+    ):
+        shown = f"{error:.2%}" if error > noise else f"below the noise, {noise:.2%}"
+        click.echo(
+            f"verified on {checked.vertices} vertices held out, {name}: error {shown} (predicted {predicted:.2%}; "
+            f"noise of the reference {noise:.2%})"
+        )
+    click.echo(f"predicted {checked.predicted_seconds:.1f} s, took {checked.seconds:.1f} s")
+    if goal.error is not None and checked.error.max() > goal.error:
+        note(f"the error is above the {goal.error:g} that was asked for")
+    return found.packed
 
 
 def _take(options: dict[str, Any], kind: Any) -> dict[str, Any]:
@@ -561,6 +646,31 @@ def print_plan(effects: Sequence[Any]) -> None:
     print_table(table)
 
 
+def print_choices(choices: Sequence[Any], chosen: Any, rest: float) -> None:
+    """What could be chosen, as a table; the choice is marked."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    headings = (
+        "", "rays", "L", "tolerance", "error of transport", "predicted error", "bytes/vertex", "transport",
+        "compression", "in all",
+    )  # fmt: skip
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for choice in sorted(choices, key=lambda c: c.seconds):
+        table.add_row(
+            "→" if choice is chosen else "",
+            str(choice.samples),
+            str(choice.bandlimit),
+            f"{choice.tolerance:.3g}",
+            f"{choice.transport_error.max():.2%}",
+            f"{choice.worst:.2%} ± {choice.worst * choice.spread:.2%}",
+            f"{choice.coded.bytes_per_vertex:.2g}",
+            f"{choice.transport_seconds:.1f} s",
+            f"{choice.coded.seconds:.1f} s",
+            f"{rest + choice.seconds:.1f} s",
+        )
+    print_table(table)
+
+
 def print_table(table: Table) -> None:
     """To standard output; in a pipe as wide as it needs."""
     console = Console()
@@ -604,6 +714,18 @@ def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
     return measured_prior(
         [project_environment(light, bandlimit) for light in maps], bandlimit, ", ".join(light.name for light in maps)
     )
+
+
+def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Any:
+    """What a goal is about."""
+    from slepian_prt.budget.run import Light
+    from slepian_prt.compression.light_prior import FALLING
+
+    if "" in light_prior or (FALLING in light_prior and len(light_prior) > 1):
+        read_prior(tuple(light_prior), 0)  # says what is wrong
+    known = () if FALLING in light_prior else tuple(read_maps(light_prior, True, 0.0))
+    named = ", ".join(light.name for light in known) if known else "".join(light_prior)
+    return Light(tuple(read_maps(environment, True, 0.0)), named, known)
 
 
 def read_maps(paths: Sequence[str], clamp_negative: bool, rotate: float) -> list[Any]:

@@ -17,7 +17,7 @@ import slepian_prt as sp
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import morton
 from slepian_prt.transport.directions import direction_net
-from slepian_prt.transport.effects import plan_effects
+from slepian_prt.transport.effects import Survey
 from slepian_prt.transport.interreflection import gather_operator
 from slepian_prt.transport.visibility import VisibilityTracer, shadowed_transfer
 
@@ -65,7 +65,7 @@ def transport() -> None:
 def _throughput(path: Path, bandlimit: int) -> None:
     ours, raw, stages = [], [], defaultdict(list)
     with open_scene(path) as (mi, scene):
-        plan = plan_effects(mi, scene, bandlimit, SAMPLES)
+        plan = Survey.of(mi, scene).plan(bandlimit, SAMPLES)
         positions = scene.traced_positions
         order = plan.shadowed[np.argsort(morton(positions[plan.shadowed]), kind="stable")]
         net = direction_net(plan.nodes)

@@ -105,6 +105,8 @@ class CompressedTransfer:
         The scene's camera.
     toward_view : bool
         Whether this is transfer toward that camera.
+    verified : dict of str to float
+        Where a goal was set: relative RMS errors of relit radiance, measured on vertices held out, by light.
     """
 
     mesh: Mesh
@@ -130,6 +132,7 @@ class CompressedTransfer:
     lighting: NDArray[np.float64] | None = None
     view: View | None = None
     toward_view: bool = False
+    verified: dict[str, float] = field(default_factory=dict)
 
     @property
     def coding(self) -> str:
@@ -165,18 +168,28 @@ class CompressedTransfer:
 
     # --- Use ---------------------------------------------------------------------------------------------------------
 
-    def reconstruct(self) -> NDArray[np.float32]:
-        """Transfer vectors as the file has them: (V, (L+1)²), or (V, 3, (L+1)²) with three channels."""
+    def reconstruct(self, vertices: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
+        """Transfer vectors as the file has them: (V, (L+1)²), or (V, 3, (L+1)²) with three channels.
+
+        Of some ``vertices`` alone, in their order, if they are given.
+        """
         count, size = len(self.mesh.positions), num_coefficients(self.bandlimit)
-        vectors = np.empty((count, self.channels, size), dtype=np.float32)
+        wanted = np.arange(count) if vertices is None else np.asarray(vertices)
+        vectors = np.zeros((wanted.size, self.channels, size), dtype=np.float32)
         mixing = channel_mixing(self.channels)
-        for c, (members, basis, found) in enumerate(zip(self.clusters.members, self.bases, self._decoded, strict=True)):
-            values = found.values if found.axes is None else found.values @ found.axes.astype(np.float32)
+        decoded = self.__dict__.get("_decoded")
+        caps = self.clusters.index[wanted]
+        for c in np.unique(caps[self.mesh.receivers[wanted]]):
+            members, basis = self.clusters.members[c], self.bases[c]
+            rows = np.flatnonzero((caps == c) & self.mesh.receivers[wanted])
+            found = self.cap(int(c))[1] if decoded is None else decoded[c]
+            values = found.values[np.searchsorted(members, wanted[rows])]
+            if found.axes is not None:
+                values = values @ found.axes.astype(np.float32)
             mixed = basis.reconstruct(values, self.channels)
             if self.mean is not None:
-                mixed[:, 0] += self.mean.vectors(self._axes[members], int(self.clusters.kinds[c]))
-            vectors[members] = mixed if self.channels == 1 else np.einsum("dc,ndm->ncm", mixing, mixed)
-        vectors[~self.mesh.receivers] = 0.0
+                mixed[:, 0] += self.mean.vectors(self._axes[wanted[rows]], int(self.clusters.kinds[c]))
+            vectors[rows] = mixed if self.channels == 1 else np.einsum("dc,ndm->ncm", mixing, mixed)
         return vectors[:, 0] if self.channels == 1 else vectors
 
     def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
@@ -308,6 +321,7 @@ class CompressedTransfer:
             "source": self.source,
             "view": None if self.view is None else self.view.as_dict(),
             "toward_view": self.toward_view,
+            "verified": self.verified,
             "written_by": f"slepian_prt {slepian_prt.__version__}",
         }
         mesh: dict[str, NDArray] = {
@@ -436,6 +450,7 @@ def _from_archive(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compr
         lighting=arrays.get("environment/lighting"),
         view=None if manifest["view"] is None else View(**manifest["view"]),
         toward_view=bool(manifest["toward_view"]),
+        verified=dict(manifest.get("verified", {})),
     )
 
 

@@ -102,6 +102,14 @@ def compress(
     else:
         tell(f"basis {basis}")
         work.learn(lambda vertices: transfer.vectors[vertices])
+    return compressed(transfer, work, tell, started)
+
+
+def compressed(transfer: Transfer, work: Work, tell: Tell, started: float) -> CompressedTransfer:
+    """Project and code vectors that are there, with bases that are learnt.
+
+    ``started`` is when compression began, by `time.perf_counter`.
+    """
     while True:
         store = MemoryStore()
         for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
@@ -117,7 +125,7 @@ def compress(
         mesh=transfer.mesh,
         parts=transfer.parts,
         bandlimit=transfer.bandlimit,
-        clusters=grouping.clusters,
+        clusters=work.clusters,
         effects=transfer.effects,
         bounces=transfer.bounces,
         samples=transfer.samples,
@@ -164,16 +172,28 @@ def precompute_compressed(
         if not ready.by_blocks or settings.needs_all_vectors:
             transfer = ready.transfer(advance)
             return compress(transfer, tell=tell, **vars(settings))
-        return _streamed(ready, settings, advance, tell)
+        source, grouping = ready.direct(), surveyed(settings, ready)
+        work = Work(settings, ready.scene.mesh, grouping, int(job.bandlimit), job.seed)
+        work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
+        return streamed(ready, source, work, advance, tell)
 
 
-def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], None], tell: Tell) -> CompressedTransfer:
+def streamed(
+    ready: Ready, source: DirectTransfer, work: Work, advance: Callable[[int, int], None], tell: Tell
+) -> CompressedTransfer:
+    """Trace and project block after block, then code.
+
+    Parameters
+    ----------
+    ready : Ready
+        That does `by_blocks`.
+    source : DirectTransfer
+        Of ``ready``.
+    work : Work
+        With its bases learnt.
+    advance, tell : as of `precompute_compressed`
+    """
     job, mesh = ready.job, ready.scene.mesh
-    bandlimit = int(job.bandlimit)
-    source = ready.direct()
-    grouping = surveyed(settings, ready)
-    work = Work(settings, mesh, grouping, bandlimit, job.seed)
-    work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
     of_pilot = source.rays
     while True:
         with journal(_fingerprint(ready, work)) as store:
@@ -192,8 +212,8 @@ def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], No
         **result,
         mesh=mesh,
         parts=ready.scene.parts,
-        bandlimit=bandlimit,
-        clusters=grouping.clusters,
+        bandlimit=work.bandlimit,
+        clusters=work.clusters,
         effects=ready.plan.effects,
         bounces=0,
         samples=int(job.samples),
@@ -201,7 +221,7 @@ def _streamed(ready: Ready, settings: Settings, advance: Callable[[int, int], No
         rays_traced=rays,
         seconds=ready.clock.seconds,
         source=ready.scene.path,
-        lighting=None if own is None else project_environment(own, bandlimit),
+        lighting=None if own is None else project_environment(own, work.bandlimit),
         view=ready.scene.view,
     )
 

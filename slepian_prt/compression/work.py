@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -54,11 +56,35 @@ class Start:
     ----------
     tuning : codec.Tuning
     turned : tuple of bool
-        Which caps' coefficients were turned to their principal axes.
+        Which caps' coefficients were turned to their principal axes; empty if that is not known.
     """
 
     tuning: codec.Tuning
-    turned: tuple[bool, ...]
+    turned: tuple[bool, ...] = ()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What coding some of the caps gave.
+
+    Attributes
+    ----------
+    start : Start
+        For coding all of them.
+    expected : Expectation
+        Of a vector, by degree, as measured on these caps.
+    bytes : float
+        Of a vertex, in these caps.
+    reading, coding, decoding : float
+        Seconds to lay out the surface of these caps, once, to code them, each time, and to decode them.
+    """
+
+    start: Start
+    expected: Expectation
+    bytes: float
+    reading: float
+    coding: float
+    decoding: float
 
 
 class Work:
@@ -69,6 +95,8 @@ class Work:
     bases : tuple of LinearBasis
         What blocks are projected on.
     pilot : Pilot or None
+    start : Start or None
+        What coding tries first.
     """
 
     bases: tuple[LinearBasis, ...]
@@ -85,7 +113,7 @@ class Work:
         toward_view: bool = False,
         start: Start | None = None,
     ) -> None:
-        self._start = start
+        self.start = start
         self.settings, self.mesh, self.bandlimit, self._seed = settings, mesh, bandlimit, seed
         self.clusters = grouping.clusters
         self._toward_view = toward_view
@@ -177,6 +205,24 @@ class Work:
         power = np.ones(self.bandlimit + 1) if self._weights is None else self._weights**2
         whole = float(self.pilot.energies[self.clusters.kinds] @ power @ sizes)
         return math.sqrt(whole / seen) if seen > 0.0 else 1.0
+
+    def asked(self, tolerance: float) -> Work:
+        """The same, what was learnt included, with another tolerance."""
+        other = copy.copy(self)
+        other.settings = replace(self.settings, tolerance=tolerance)
+        other._factor = 1
+        other.use(self._found, self.channels)
+        return other
+
+    @property
+    def energies(self) -> NDArray[np.float64]:
+        """(L+1,) mean energy of a transfer vector in each degree, as the pilot has it."""
+        return self._expected(self._lost()).total
+
+    @property
+    def overhead(self) -> float:
+        """Bytes that a file holds beside the coefficients: functions, which all caps share, and caps."""
+        return 2.0 * self.bases[0].count * (self.bandlimit + 1) + 32.0 * len(self.bases)
 
     # --- Block after block ---
 
@@ -293,13 +339,54 @@ class Work:
     def _coded(self, caps: Caps) -> dict[str, Any]:
         """All caps coded with one step, such that the error asked for is met by measurement."""
         total, missed = caps.energies()
+        everything = range(len(self.bases))
+        tuning, encoded = self._encoded(caps, everything, self._distortion(total, missed))
+        used = np.array([cap.used / self.channels for cap in encoded]) + (self.bases[0].mean is not None)
+        return {
+            "bases": self.bases,
+            "coded": Coded(tuning, tuple(cap.words for cap in encoded)),
+            "mean": None if self.pilot is None else self.pilot.mean,
+            "expected": self._measured(everything, encoded, total, missed),
+            "terms": float(used @ self.clusters.sizes / self.clusters.sizes.sum()),
+        }
+
+    def trial(self, store: Store, numbers: Sequence[int]) -> Trial:
+        """Code the caps of the given ``numbers``, whose blocks alone are in the store."""
+        caps = self._caps(store, {})
+        total, missed = caps.energies()
+        begin = time.perf_counter()
+        for c in numbers:
+            caps.along(c)
+        read = time.perf_counter()
+        tuning, encoded = self._encoded(caps, numbers, self._distortion(total, missed))
+        tuned = time.perf_counter()
+        for c, cap in zip(numbers, encoded, strict=True):
+            self._encode(caps, c, tuning, cap.turned)
+        coded = time.perf_counter()
+        for c, cap in zip(numbers, encoded, strict=True):
+            codec.decode_cap(cap.words, self.bases[c].count * self.channels, caps.along(c)[1], tuning)
+        return Trial(
+            Start(tuning),
+            self._measured(numbers, encoded, total, missed),
+            4.0 * sum(cap.words.size for cap in encoded) / self.clusters.sizes[list(numbers)].sum(),
+            read - begin,
+            coded - tuned,
+            time.perf_counter() - coded,
+        )
+
+    def _distortion(self, total: float, missed: float) -> float:
+        """What rounding may change of vectors whose squares sum to ``total``, of which the bases miss ``missed``."""
         if self.settings.by_number:
-            wanted = max(_ROUNDING_SHARE * missed, _FINEST_ROUNDING**2 * total)
-        else:
-            wanted = max(self.settings.asked**2 * total - missed, 0.01 * self.settings.asked**2 * total)
-        tuning, encoded = self._encoded(caps, wanted)
-        lost, norm = np.zeros(self.bandlimit + 1), self.clusters.sizes.sum() * self.channels
-        for basis, cap in zip(self.bases, encoded, strict=True):
+            return max(_ROUNDING_SHARE * missed, _FINEST_ROUNDING**2 * total)
+        return max(self.settings.asked**2 * total - missed, 0.01 * self.settings.asked**2 * total)
+
+    def _measured(
+        self, numbers: Sequence[int], encoded: list[codec.EncodedCap], total: float, missed: float
+    ) -> Expectation:
+        """What coding some caps lost, by degree."""
+        lost, norm = np.zeros(self.bandlimit + 1), self.clusters.sizes[list(numbers)].sum() * self.channels
+        for c, cap in zip(numbers, encoded, strict=True):
+            basis = self.bases[c]
             errors = np.einsum("kclc->kl", cap.errors.reshape(basis.count, self.channels, basis.count, self.channels))
             lost += by_degree(np.sum((errors @ basis.synthesis) * basis.synthesis, axis=0)) / norm
         expected = self._expected(self._lost())
@@ -308,37 +395,28 @@ class Work:
         foreseen, whole = float(power @ expected.lost), float(power @ expected.total)
         missing = expected.lost * (missed / norm / foreseen if foreseen > 0.0 else 0.0)
         everything = expected.total * (total / norm / whole if whole > 0.0 else 1.0)
-        used = np.array([cap.used / self.channels for cap in encoded]) + (self.bases[0].mean is not None)
-        return {
-            "bases": self.bases,
-            "coded": Coded(tuning, tuple(cap.words for cap in encoded)),
-            "mean": None if self.pilot is None else self.pilot.mean,
-            "expected": Expectation(lost + missing, everything),
-            "terms": float(used @ self.clusters.sizes / self.clusters.sizes.sum()),
-        }
+        return Expectation(lost + missing, everything)
 
-    def _encoded(self, caps: Caps, wanted: float) -> tuple[codec.Tuning, list[codec.EncodedCap]]:
-        """Tune on some caps, code all, and again with another step until what rounding changed is what is wanted."""
-        sizes, chosen, sampled = self.clusters.sizes, [], 0
-        # Caps of all sizes, the same every time.
-        for c in np.random.default_rng(self._seed).permutation(len(sizes)):
-            if sampled < _SAMPLE and sizes[c] > 0:
-                chosen.append(int(c))
-                sampled += int(sizes[c])
-        samples = [caps.along(c) for c in chosen]
+    def _encoded(
+        self, caps: Caps, numbers: Sequence[int], wanted: float
+    ) -> tuple[codec.Tuning, list[codec.EncodedCap]]:
+        """Tune on some caps, code those of the given numbers, and again with another step until what rounding changed
+        is what is wanted."""
         finest = caps.largest() / codec.LARGEST_MULTIPLE
-        turned: Sequence[bool] = ()
-        if self._start is None:
-            tuning = codec.tune(samples, wanted * sampled / int(sizes.sum()), finest)
+        turned: Sequence[bool | None] = [None] * len(numbers)
+        if self.start is None:
+            sizes = self.clusters.sizes
+            chosen = self.some_caps(_SAMPLE, numbers)
+            part = sizes[chosen].sum() / sizes[list(numbers)].sum()
+            tuning = codec.tune([caps.along(c) for c in chosen], wanted * part, finest)
         else:
-            tuning, turned = self._start.tuning, self._start.turned
-        del samples
+            tuning, turned = self.start.tuning, self.start.turned or turned
         best: tuple[codec.Tuning, list[codec.EncodedCap]] | None = None
         attempts = 0
         encoded: list[codec.EncodedCap] = []
         while True:
             attempts += 1
-            encoded = [self._encode(caps, c, tuning, turned) for c in range(len(self.bases))]
+            encoded = [self._encode(caps, c, tuning, turn) for c, turn in zip(numbers, turned, strict=True)]
             turned = [cap.turned for cap in encoded]  # a slightly different step does not change what pays
             distortion = sum(cap.distortion for cap in encoded)
             if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
@@ -350,8 +428,19 @@ class Work:
             change = (0.5 * (1.0 + _CLOSE) * wanted / distortion) ** 0.65
             tuning = replace(tuning, step=max(tuning.step * min(max(change, 0.25), 4.0), finest))
 
-    def _encode(self, caps: Caps, c: int, tuning: codec.Tuning, turned: Sequence[bool]) -> codec.EncodedCap:
-        turn = False if self.settings.needs_all_vectors else self.settings.refine
-        if len(turned):
-            turn = turned[c]
+    def _encode(self, caps: Caps, c: int, tuning: codec.Tuning, turn: bool | None) -> codec.EncodedCap:
+        """One cap; without ``turn``, turned as was asked for."""
+        if turn is None:
+            turn = False if self.settings.needs_all_vectors else self.settings.refine
         return codec.encode_cap(*caps.along(c), tuning, turn=turn)
+
+    def some_caps(self, vertices: int, numbers: Sequence[int] | None = None) -> list[int]:
+        """Caps of all sizes that together hold so many vertices, the same every time."""
+        sizes, chosen, held = self.clusters.sizes, [], 0
+        among = np.zeros(len(sizes), dtype=bool)
+        among[range(len(sizes)) if numbers is None else list(numbers)] = True
+        for c in np.random.default_rng(self._seed).permutation(len(sizes)):
+            if held < vertices and sizes[c] > 0 and among[c]:
+                chosen.append(int(c))
+                held += int(sizes[c])
+        return chosen

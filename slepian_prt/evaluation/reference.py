@@ -110,7 +110,7 @@ def vertex_reference(
             return _sample_toward(mi, scene, lit, view, samples, own, bounces)[chosen]
         return _sample_vertices(mi, scene, lit, chosen, samples, own, bounces)
 
-    first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values)
+    first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values, squares=False)
     albedo = scene.mesh.albedo[chosen] if view is None else 1.0
     mean = 0.5 * (first + second)
     if view is None and vertices is None:
@@ -121,7 +121,12 @@ def vertex_reference(
 
 
 def _converge(
-    half: Callable[[int, int], NDArray], noise: float, largest: int, compared: Callable[[NDArray], NDArray]
+    half: Callable[[int, int], NDArray],
+    noise: float,
+    largest: int,
+    compared: Callable[[NDArray], NDArray],
+    *,
+    squares: bool = True,
 ) -> tuple[NDArray, NDArray, float, int]:
     """Two independent halves with enough samples, the noise of their mean, and the samples of both.
 
@@ -134,10 +139,12 @@ def _converge(
         measured = _half_noise(compared(first), compared(second))
         if measured <= noise or samples >= largest:
             return first, second, measured, samples
-        wanted = samples * (measured / noise) ** (1.0 / 0.7)
-        # Stratified samplers want a square number in each half; powers of four are.
-        per_half = 4 ** math.ceil(math.log(wanted / 2, 4) - 1e-9)
-        samples, seed = min(largest, max(2 * per_half, 4 * samples)), seed + 2
+        wanted = 1.1 * samples * (measured / noise) ** (1.0 / 0.7)
+        if squares:
+            # Stratified samplers want a square number in each half; powers of four are.
+            per_half = 4 ** math.ceil(math.log(wanted / 2, 4) - 1e-9)
+            wanted = max(2 * per_half, 4 * samples)
+        samples, seed = min(largest, max(2 * math.ceil(0.5 * wanted), 2 * samples)), seed + 2
 
 
 def _sample_vertices(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -113,66 +114,81 @@ def check_effects(effects: str) -> None:
             raise UserError(f"effects: {name} needs {needed}; add it, as in --effects {needed},{','.join(named)}")
 
 
-def plan_effects(
-    mi: Any,
-    scene: Scene,
-    bandlimit: int,
-    samples: int,
-    effects: str = "auto",
-    seed: int = 0,
-    view: View | None = None,
-) -> Plan:
-    """Decide what to simulate, from exact geometric tests and a pilot of a few hundred vertices.
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """A first look at a scene: exact geometric tests, and a pilot of a few hundred vertices.
 
-    Parameters
+    Attributes
     ----------
-    mi : Mitsuba
     scene : Scene
-    bandlimit, samples : as `precompute`
-    effects : str
-        ``auto``; ``direct`` (shadows only); ``all``; ``none``; or effects by name, with commas between.
-    seed : int
-    view : View, optional
-        Camera that transfer is wanted toward.
-
-    Raises
-    ------
-    UserError
-        Unknown effects.
+    receivers, possible : indices of vertices
+        That light can reach, and those of them that something reaches above the tangent plane of.
+    pilot : _Pilot
     """
-    check_effects(effects)
-    forced = {"auto": None, "direct": {"shadows"}, "all": set(EFFECTS), "none": set()}.get(effects)
-    if effects not in ("auto", "direct", "all", "none"):
-        forced = {name.strip() for name in effects.split(",")}
-    receivers = np.flatnonzero(scene.mesh.receivers)
-    possible = np.flatnonzero(shadowed_vertices(scene))
-    pilot = _look(mi, scene, possible, receivers.size, bandlimit, seed)
-    rows, shadowed, nodes = _shadows(pilot, possible, receivers, samples, forced)
-    if view is not None:
-        rows.append(_toward_view(scene, view, samples))
-    interreflection, row = _interreflection(scene, pilot, possible.size, samples, forced, effects, view)
-    rows.append(row)
-    if view is None:
-        channels, row = _colour(scene, pilot, interreflection, forced, effects)
-        rows += [row, _tail(pilot, bandlimit)]
-    else:
+
+    scene: Scene
+    receivers: NDArray[np.int64]
+    possible: NDArray[np.int64]
+    pilot: _Pilot
+
+    @classmethod
+    def of(cls, mi: Any, scene: Scene, seed: int = 0) -> Survey:
+        receivers = np.flatnonzero(scene.mesh.receivers)
+        possible = np.flatnonzero(shadowed_vertices(scene))
+        return cls(scene, receivers, possible, _look(mi, scene, possible, receivers.size, seed))
+
+    def nodes(self, samples: float) -> int:
+        """Directions that a vertex looks in at first, so that it takes ``samples`` rays on average."""
+        return nodes_for(samples, self.pilot.changes)
+
+    def plan(self, bandlimit: int, samples: int, effects: str = "auto", view: View | None = None) -> Plan:
+        """Decide what to simulate.
+
+        Parameters
+        ----------
+        bandlimit, samples : as `precompute`
+        effects : str
+            ``auto``; ``direct`` (shadows only); ``all``; ``none``; or effects by name, with commas between.
+        view : View, optional
+            Camera that transfer is wanted toward.
+
+        Raises
+        ------
+        UserError
+            Unknown effects.
+        """
+        check_effects(effects)
+        forced = {"auto": None, "direct": {"shadows"}, "all": set(EFFECTS), "none": set()}.get(effects)
+        if effects not in ("auto", "direct", "all", "none"):
+            forced = {name.strip() for name in effects.split(",")}
+        scene, pilot = self.scene, self.pilot
+        rows, shadowed, nodes = _shadows(pilot, self.possible, self.receivers, samples, forced)
+        if view is not None:
+            rows.append(_toward_view(scene, view, samples))
+        interreflection, row = _interreflection(scene, pilot, self.possible.size, samples, forced, effects, view)
+        rows.append(row)
         channels = 3
-    if interreflection and pilot.backs > TOLERANCE and any(scene.two_sided):
-        rows.append(
-            Effect(
-                "light reflected by the backs of surfaces",
-                NOT_SIMULATED,
-                pilot.backs,
-                None,
-                0,
-                "vertices carry light on their front only",
+        if view is None:
+            channels, row = _colour(scene, pilot, interreflection, forced, effects)
+            rows += [row, _tail(pilot, bandlimit)]
+        if interreflection and pilot.backs > TOLERANCE and any(scene.two_sided):
+            rows.append(
+                Effect(
+                    "light reflected by the backs of surfaces",
+                    NOT_SIMULATED,
+                    pilot.backs,
+                    None,
+                    0,
+                    "vertices carry light on their front only",
+                )
             )
-        )
-    rows += [
-        Effect(what, NOT_SIMULATED, None, None, 0, "only reflection of distant light by diffuse surfaces is simulated")
-        for what in scene.not_simulated
-    ]
-    return Plan(tuple(rows), shadowed, nodes, interreflection, channels)
+        rows += [
+            Effect(
+                what, NOT_SIMULATED, None, None, 0, "only reflection of distant light by diffuse surfaces is simulated"
+            )
+            for what in scene.not_simulated
+        ]
+        return Plan(tuple(rows), shadowed, nodes, interreflection, channels)
 
 
 @dataclass(frozen=True)
@@ -188,8 +204,8 @@ class _Pilot:
         The part that shows the backs of receivers.
     changes : float
         Edges of the net along which visibility changes, over the root of its nodes.
-    tail : float
-        Part of the energy of the transfer that lies in degrees above the bandlimit.
+    tail : callable
+        Gives the part of the energy of the transfer that lies in degrees above a bandlimit.
     """
 
     blocked: _Estimate
@@ -197,27 +213,35 @@ class _Pilot:
     tint: _Estimate
     backs: float
     changes: float
-    tail: float
+    tail: Callable[[int], float]
 
 
-def _look(mi: Any, scene: Scene, possible: NDArray, receivers: int, bandlimit: int, seed: int) -> _Pilot:
+def _look(mi: Any, scene: Scene, possible: NDArray, receivers: int, seed: int) -> _Pilot:
     nothing = _Estimate(0.0, 0.0)
     if possible.size == 0:
-        return _Pilot(nothing, nothing, nothing, 0.0, 0.0, _tail_of_cosine(bandlimit))
+        return _Pilot(nothing, nothing, nothing, 0.0, 0.0, _tail_of_cosine)
     chosen = np.random.default_rng(seed).choice(possible, min(_PILOT_VERTICES, possible.size), replace=False)
     share = possible.size / receivers
     net = direction_net(_PILOT_NODES)
-    tracer = VisibilityTracer(mi, scene, max(1, bandlimit), net, seed)
-    fractions, energy, kept = tracer.survey(chosen, bandlimit)
+    tracer = VisibilityTracer(mi, scene, 1, net, seed)
+    looked = tracer.look(chosen)
+    fractions, energy, _ = tracer.surveyed(looked)
     gather = gather_operator(mi, scene, _PILOT_NODES, chosen, None, seed)
     seen = gather.weights @ scene.mesh.albedo.astype(np.float64)
+
+    def tail(bandlimit: int) -> float:
+        if energy == 0.0:
+            return 0.0
+        kept = VisibilityTracer(mi, scene, max(1, bandlimit), net, seed).surveyed(looked)[2][: bandlimit + 1].sum()
+        return share * max(0.0, 1.0 - float(kept) / energy) + (1.0 - share) * _tail_of_cosine(bandlimit)
+
     return _Pilot(
         _Estimate.of(fractions, share),
         _Estimate.of(seen.max(axis=1), share),
         _Estimate.of(np.ptp(seen, axis=1), share),
         share * gather.backs,
         tracer.changes / chosen.size / math.sqrt(net.size),
-        share * max(0.0, 1.0 - kept / energy) + (1.0 - share) * _tail_of_cosine(bandlimit) if energy > 0.0 else 0.0,
+        tail,
     )
 
 
@@ -309,7 +333,7 @@ def _toward_view(scene: Scene, view: View, samples: int) -> Effect:
 
 
 def _tail(pilot: _Pilot, bandlimit: int) -> Effect:
-    amount = math.sqrt(pilot.tail)
+    amount = math.sqrt(pilot.tail(bandlimit))
     reason = f"relative RMS of the transfer beyond bandlimit {bandlimit}; smooth light meets less of it"
     return Effect(f"degrees above {bandlimit}", OMITTED, amount, None, 0, reason)
 

@@ -20,7 +20,7 @@ from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.scene.scenes import Part, Scene
 from slepian_prt.transport.buried import borrow
-from slepian_prt.transport.effects import SIMULATED, Effect, Plan, check_effects, plan_effects
+from slepian_prt.transport.effects import SIMULATED, Effect, Plan, Survey, check_effects
 from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interreflection import GATHER_SHARE, bounced, count_bounces, gather_operator
 from slepian_prt.transport.visibility import DirectTransfer, shadowed_transfer
@@ -183,11 +183,12 @@ class Job:
                 raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
             clock.stop("load")
             toward = opened.view if self.view is not None else None
-            plan = plan_effects(mi, opened, self.bandlimit, int(self.samples), self.effects, self.seed, toward)
+            survey = Survey.of(mi, opened, self.seed)
+            plan = survey.plan(self.bandlimit, int(self.samples), self.effects, toward)
             on_plan(plan.effects)
             _remark_on_closed(opened.path, plan.effects)
             clock.stop("plan")
-            yield Ready(mi, opened, self, plan, toward, clock)
+            yield Ready(mi, opened, self, survey, plan, toward, clock)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +200,7 @@ class Ready:
     mi : Mitsuba
     scene : Scene
     job : Job
+    survey : Survey
     plan : Plan
     toward : View or None
         The camera toward which all materials are simulated.
@@ -208,9 +210,15 @@ class Ready:
     mi: Any
     scene: Scene
     job: Job
+    survey: Survey
     plan: Plan
     toward: View | None
     clock: Clock
+
+    def asked(self, samples: int, bandlimit: int) -> Ready:
+        """The same scene, planned for other numbers."""
+        job = replace(self.job, samples=samples, bandlimit=bandlimit)
+        return replace(self, job=job, plan=self.survey.plan(bandlimit, samples, job.effects, self.toward))
 
     @property
     def by_blocks(self) -> bool:

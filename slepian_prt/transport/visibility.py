@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from slepian_prt.scene.meshes import morton
 from slepian_prt.scene.scenes import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.directions import QUARTERS, SMALLEST_NET, Net, direction_net
 
@@ -330,14 +330,16 @@ class VisibilityTracer(HemisphereRays):
         """
         return rotate_sh(self._projected(seen), seen.frames), np.all(seen.hit, axis=0)
 
-    def survey(self, vertices: NDArray, bandlimit: int) -> tuple[NDArray[np.floating], float, float]:
-        """Blocked part of each hemisphere, (n,), and over all vertices the energy of transfer in all degrees and up
-        to ``bandlimit``: ∫ (V (n·ω)₊ / π)² dω and Σ_lm t_lm². The tables must reach degree 1."""
-        lost = self._projected(self.look(vertices))
+    def surveyed(self, seen: Seen) -> tuple[NDArray[np.floating], float, NDArray[np.float64]]:
+        """Blocked part of each hemisphere, (n,), and over all vertices the energy of transfer in all degrees, and in
+        each that the tables reach: ∫ (V (n·ω)₊ / π)² dω and Σ_m t_lm². The tables must reach degree 1."""
+        lost = self._projected(seen)
         kept = (self.node_table.sum(axis=0) - lost).astype(np.float64)
         # t_10 in the vertex's frame is (1/π) ∫ V (n·ω)₊² dω times the √(3/4π) of y_10.
         energy = float(kept[:, 2].sum()) / math.sqrt(3.0 / (4.0 * math.pi)) / math.pi
-        return lost[:, 0] * float(_MEAN), energy, float(np.sum(kept[:, : num_coefficients(bandlimit)] ** 2))
+        bandlimit = math.isqrt(kept.shape[1]) - 1
+        by_degree = np.bincount(degrees(bandlimit), np.sum(kept**2, axis=0)).astype(np.float64)
+        return lost[:, 0] * float(_MEAN), energy, by_degree
 
     def look(self, vertices: NDArray) -> Seen:
         """Trace from the given vertices."""

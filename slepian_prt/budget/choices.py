@@ -1,0 +1,235 @@
+"""What could be chosen, what it would give and take, and the choice."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.budget.coding import Coded, CodingPilot
+from slepian_prt.budget.goal import Goal
+from slepian_prt.budget.transport import Look, TransportPilot
+from slepian_prt.errors import UserError
+
+# Parts of the error asked for that transport alone may make, one contender for each, if what it takes to look at it is
+# at most such a part of what the best so far takes.
+_PARTS = (0.75, 0.6, 0.9)
+_LOOKING = 0.2
+_LEAST_FOR_CODING = 0.25
+
+# Standard errors of the pilot, and of the vertices held out, that are kept free; and what models may be off by.
+_SAFE = 2.3
+_MODELS_OFF = 0.03
+
+# With a time to keep: how much of it is kept free, and how much transport may have of the rest.
+_TIME_OFF = 0.12
+_FOR_TRANSPORT = 0.7
+_FOR_LOOKING = 0.3
+_TRIES = 5
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Rays, bandlimit and tolerance, and what is foreseen of them.
+
+    Attributes
+    ----------
+    look : Look
+    coded : Coded
+    names : tuple of str
+        Of the lights.
+    transport_error, error : (lights,)
+        Relative RMS of relit radiance, before compression and after.
+    spread : float
+        Largest relative standard error of ``error`` that comes from looking at some vertices only.
+    """
+
+    look: Look
+    coded: Coded
+    names: tuple[str, ...]
+    transport_error: NDArray[np.float64]
+    error: NDArray[np.float64]
+    spread: float
+
+    @property
+    def samples(self) -> int:
+        return self.look.samples
+
+    @property
+    def bandlimit(self) -> int:
+        return self.look.bandlimit
+
+    @property
+    def tolerance(self) -> float:
+        return self.coded.tolerance
+
+    @property
+    def worst(self) -> float:
+        """The largest error under any light."""
+        return float(self.error.max())
+
+    @property
+    def transport_seconds(self) -> float:
+        """Zero where all of it has been traced."""
+        return self.look.seconds if self.look.transfer is None else 0.0
+
+    @property
+    def seconds(self) -> float:
+        """Of what is left to do."""
+        return self.transport_seconds + self.coded.seconds
+
+
+class Chooser:
+    """Looks at what could be chosen.
+
+    Parameters
+    ----------
+    transport : TransportPilot
+    coding : callable
+        Gives the `CodingPilot` of a `Look`.
+    goal : Goal
+    started : float
+        When the run began, by `time.perf_counter`.
+    """
+
+    def __init__(
+        self,
+        transport: TransportPilot,
+        coding: Callable[[Look], CodingPilot],
+        goal: Goal,
+        started: float,
+    ) -> None:
+        self._transport, self._coding, self._goal = transport, coding, goal
+        self._started = started
+        self.choices: list[Choice] = []
+
+    @property
+    def spent(self) -> float:
+        """Seconds so far."""
+        return time.perf_counter() - self._started
+
+    def choose(self, tightened: float = 1.0) -> Choice:
+        """The fastest that meets the error, or the most exact that keeps the time.
+
+        Raises
+        ------
+        UserError
+            Nothing meets the goal.
+        """
+        goal = self._goal
+        if goal.error is not None:
+            found = self._for_error(tightened * goal.error)
+            if goal.seconds is None or self.spent + found.seconds <= goal.seconds:
+                return found
+        assert goal.seconds is not None
+        return self._for_seconds(goal.seconds)
+
+    # --- A wanted error ----------------------------------------------------------------------------------------------
+
+    def _for_error(self, wanted: float) -> Choice:
+        transport = self._transport
+        transport.explore(min(_PARTS) * wanted)
+        best: Choice | None = None
+        tried: set[tuple[int, int]] = set()
+        for part in _PARTS:
+            began = self.spent
+            for _ in range(_TRIES):
+                left = [c for c in transport.feasible(part * wanted) if c not in tried]
+                # Transport that takes as long as the best choice in all cannot lead to a better one.
+                left = [c for c in left if best is None or transport.seconds(*c) < 0.9 * best.seconds]
+                if not left:
+                    break
+                fastest = min(left, key=lambda c: transport.seconds(*c))
+                tried.add(fastest)
+                found = self._measured(*fastest, wanted)
+                if found is not None:
+                    if best is None or found.seconds < best.seconds:
+                        best = found
+                    break
+            if best is not None and self.spent - began > _LOOKING * best.seconds:
+                break
+        if best is None:
+            raise self._cannot(wanted)
+        return best
+
+    def _measured(self, samples: int, bandlimit: int, wanted: float) -> Choice | None:
+        """A contender with the coarsest tolerance that meets ``wanted``, or None if there is no room for it."""
+        look = self._transport.look(samples, bandlimit)
+        squared, deviation = look.error.squared[bandlimit], look.error.deviation[bandlimit]
+        free = 1.0 - np.minimum(_MODELS_OFF + _SAFE * deviation * squared / wanted**2, 0.2)
+        rest = (free * wanted) ** 2 - squared
+        if np.any(rest < (_LEAST_FOR_CODING * wanted) ** 2):
+            return None
+        return self._completed(look, rest)
+
+    def _completed(self, look: Look, rest: NDArray) -> Choice:
+        squared, deviation = look.error.squared[look.bandlimit], look.error.deviation[look.bandlimit]
+        if look.transfer is not None and look.transfer.bandlimit > look.bandlimit:
+            look = look.cut(look.bandlimit)
+        coded = self._coding(look).within(rest)
+        total = squared + coded.squared
+        spread = float(np.max(deviation * squared / np.maximum(total, 1e-300)))
+        names = self._transport.yardstick.names
+        found = Choice(look, coded, names, np.sqrt(squared), np.sqrt(total), spread)
+        self.choices.append(found)
+        return found
+
+    def _cannot(self, wanted: float) -> UserError:
+        """What can be had, and what limits it."""
+        transport = self._transport
+        combinations = [(s, l) for s in transport.samples for l in transport.bandlimits if transport.fits(s, l)]
+        samples, bandlimit = min(combinations, key=lambda c: float(np.max(transport.squared(*c))))
+        squared = transport.squared(samples, bandlimit)
+        worst = int(np.argmax(squared))
+        noise = float(transport.noise(samples)[worst])
+        best = math.sqrt(float(squared[worst]))
+        limit = f"{samples} rays per vertex" if noise > 0.5 * squared[worst] else f"bandlimit {bandlimit}"
+        claimed = max(best, float(transport.yardstick.noise[worst]))
+        offer = math.ceil(1000.0 * claimed / (0.95 * max(_PARTS))) / 1000.0
+        return UserError(
+            f"an error of {wanted:g} cannot be met under {transport.yardstick.names[worst]}: {limit} leaves "
+            f"{claimed:.2g} before compression, which is the least that can be had; ask for --max-error {offer:g}"
+            " or more, or for smoother light"
+        )
+
+    # --- A wanted time -----------------------------------------------------------------------------------------------
+
+    def _for_seconds(self, seconds: float) -> Choice:
+        transport = self._transport
+        keep = (1.0 - _TIME_OFF) * seconds
+        if keep <= self.spent:
+            raise UserError(
+                f"{seconds:g} seconds cannot be kept: loading, planning and the pilot took {self.spent:.1f}; ask for "
+                f"--max-seconds {math.ceil(2.0 * self.spent)} or more"
+            )
+        transport.explore(0.0, _FOR_LOOKING * (keep - self.spent))
+        best: Choice | None = None
+        slower = math.inf
+        for _ in range(_TRIES):
+            left = keep - self.spent
+            within = transport.feasible(math.inf, min(_FOR_TRANSPORT * left, slower))
+            if not within or (best is not None and self.spent > 0.5 * keep):
+                break
+            exact = min(within, key=lambda c: float(np.max(transport.squared(*c))))
+            # Of those that are hardly worse, the fastest.
+            good = 1.1**2 * float(np.max(transport.squared(*exact)))
+            samples, bandlimit = min(
+                (c for c in within if np.max(transport.squared(*c)) <= good), key=lambda c: transport.seconds(*c)
+            )
+            look = transport.look(samples, bandlimit)
+            found = self._completed(look, np.maximum(look.error.squared[bandlimit], 1e-6))
+            if found.seconds <= keep - self.spent and (best is None or found.worst < best.worst):
+                best = found
+                break
+            slower = 0.5 * min(slower, transport.seconds(samples, bandlimit))
+        if best is None:
+            least = min((c.seconds for c in self.choices), default=seconds)
+            raise UserError(
+                f"{seconds:g} seconds cannot be kept: the fastest that was found would take "
+                f"{self.spent + least:.1f}; ask for more"
+            )
+        return best

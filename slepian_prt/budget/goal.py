@@ -1,0 +1,43 @@
+"""What is asked for: an error, a time, or both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from slepian_prt.errors import UserError
+
+# Finer errors than this cannot be verified with references of a reasonable size.
+SMALLEST_ERROR = 0.002
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Attributes
+    ----------
+    error : float or None
+        Relative RMS error of relit radiance, at most.
+    seconds : float or None
+        From the first to the last, at most.
+    samples, bandlimit : int or None
+        Not to be chosen, because they were given.
+    """
+
+    error: float | None = None
+    seconds: float | None = None
+    samples: int | None = None
+    bandlimit: int | None = None
+
+    def check(self) -> None:
+        """
+        Raises
+        ------
+        UserError
+            A number that cannot be met by anything, or none.
+        """
+        if self.error is None and self.seconds is None:
+            raise UserError("a goal needs a largest error or a largest time")
+        if self.error is not None and not SMALLEST_ERROR <= self.error < 1.0:
+            raise UserError(f"--max-error must be a number from {SMALLEST_ERROR:g} to below 1, not {self.error:g}")
+        if self.seconds is not None and not (math.isfinite(self.seconds) and self.seconds > 0.0):
+            raise UserError(f"--max-seconds must be a positive number, not {self.seconds:g}")

@@ -1,0 +1,266 @@
+"""Precomputation within a wanted error or time: pilot, choice, the work itself, and its verification."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.budget.choices import Choice, Chooser
+from slepian_prt.budget.coding import CodingPilot
+from slepian_prt.budget.goal import Goal
+from slepian_prt.budget.transport import BANDLIMITS, SAMPLES, Look, TransportPilot, pilot_vertices
+from slepian_prt.budget.yardstick import MapYardstick, SpectrumYardstick, Yardstick
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.grouping import Grouping, grouped, surveyed
+from slepian_prt.compression.light_prior import LightPrior, falling_prior, measured_prior
+from slepian_prt.compression.pipeline import compressed, streamed
+from slepian_prt.compression.settings import Settings
+from slepian_prt.errors import UserError
+from slepian_prt.scene.environments import Environment, project_environment
+from slepian_prt.scene.meshes import Mesh
+from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.transfer import Job, Ready
+
+# Noise of references: this part of the error asked for, and without one.
+_NOISE_PART = 0.25
+_USUAL_NOISE = 0.01
+
+# Reference of light that only has a spectrum: rays and bandlimit, the latter for light that falls with the degree.
+_SPECTRUM_SAMPLES = 1024
+_SPECTRUM_BANDLIMIT = 30
+_FALLING_BANDLIMIT = 20
+
+# If the verification finds more error than was asked for, this often all is done once more, aimed lower.
+_REPEATS = 1
+_AIMED_LOWER = 0.95
+
+
+@dataclass(frozen=True)
+class Light:
+    """What relit radiance is measured under.
+
+    Attributes
+    ----------
+    environments : tuple of Environment
+        Errors are measured under each.
+    spectrum : str
+        What compression is made for, and without environments what errors are measured under: light that falls as
+        1/(l+1), or that of the mean spectrum of ``maps``. Empty for that of the environments.
+    maps : tuple of Environment
+    """
+
+    environments: tuple[Environment, ...] = ()
+    spectrum: str = ""
+    maps: tuple[Environment, ...] = ()
+
+    def prior(self, bandlimit: int) -> LightPrior:
+        """What compression is made for."""
+        known = self.maps or (() if self.spectrum else self.environments)
+        if not known:
+            return falling_prior(bandlimit)
+        lighting = [project_environment(light, bandlimit) for light in known]
+        return measured_prior(lighting, bandlimit, ", ".join(light.name for light in known))
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Attributes
+    ----------
+    names : tuple of str
+        Of the lights.
+    vertices : int
+        That were held out.
+    error, predicted, noise : (lights,)
+        Relative RMS; of the reference its own noise.
+    seconds, predicted_seconds : float
+        From the first to the last but writing the file.
+    """
+
+    names: tuple[str, ...]
+    vertices: int
+    error: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    seconds: float
+    predicted_seconds: float
+
+
+@dataclass(frozen=True)
+class Within:
+    """What `precompute_within` found.
+
+    Attributes
+    ----------
+    packed : CompressedTransfer
+    choices : tuple of Choice
+    chosen : Choice
+    verification : Verification
+    """
+
+    packed: CompressedTransfer
+    choices: tuple[Choice, ...]
+    chosen: Choice
+    verification: Verification
+
+
+def precompute_within(
+    scene: str | Path | Mesh,
+    goal: Goal,
+    light: Light,
+    settings: Settings,
+    job: Job,
+    *,
+    started: float | None = None,
+    on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
+    on_choice: Callable[[Sequence[Choice], Choice, float], None] = lambda _choices, _chosen, _rest: None,
+    advance: Callable[[int, int], None] = lambda _done, _total: None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Within:
+    """Transfer of a scene with rays, bandlimit and tolerance chosen for a wanted error or time.
+
+    The error is that of relit radiance at the vertices, relative RMS, against a reference without a bandlimit.
+
+    Parameters
+    ----------
+    scene : path of a mesh or Mitsuba scene, or a `Mesh`
+    goal : Goal
+    light : Light
+        Without maps and spectrum, the light of the scene itself.
+    settings : Settings
+        Of them basis, clusters, grouping and refinement count.
+    job : Job
+        Of it effects, bounces, albedo, view and seed.
+    started : when time begins to count, by `time.perf_counter`; by default now
+    on_plan : as of `precompute`
+    on_choice : given what could be chosen, the choice, and the seconds that everything else takes
+    advance, tell : as of `precompute_compressed`
+
+    Raises
+    ------
+    UserError
+        The goal cannot be met, or what `precompute_compressed` raises.
+    """
+    goal.check()
+    started = time.perf_counter() if started is None else started
+    _check(settings)
+    with job.opened(scene) as ready:
+        if not light.environments and not light.spectrum:
+            if ready.scene.environment is None:
+                raise UserError("no light to measure errors under: name a map with --environment, or a --light-prior")
+            light = replace(light, environments=(ready.scene.environment,))
+        task = _Task(ready, goal, light, settings, tell)
+        tightened = 1.0
+        for repeat in range(_REPEATS + 1):
+            chooser = task.chooser(started, repeat)
+            chosen = chooser.choose(tightened)
+            rest = chooser.spent
+            on_choice(chooser.choices, chosen, rest)
+            packed = task.done(chosen, on_plan if repeat == 0 else (lambda _: None), advance)
+            tell("verification")
+            error, noise = task.verified(packed)
+            seconds = time.perf_counter() - started
+            wanted = goal.error
+            met = wanted is None or float(error.max()) <= wanted
+            if met or goal.seconds is not None or repeat == _REPEATS:
+                break
+            assert wanted is not None
+            tell(f"{float(error.max()):.2%} on vertices held out; once more, aimed lower")
+            tightened *= _AIMED_LOWER * wanted / float(error.max())
+    names = task.yardstick.names
+    checked = Verification(
+        names, task.held_out.vertices.size, error, chosen.error, noise, seconds, rest + chosen.seconds
+    )
+    packed = replace(packed, verified=dict(zip(names, error.tolist(), strict=True)))
+    return Within(packed, tuple(chooser.choices), chosen, checked)
+
+
+def _check(settings: Settings) -> None:
+    """Raise UserError if a goal leaves no room for these."""
+    if settings.needs_all_vectors or settings.basis in ("slepian", "direct", "none"):
+        raise UserError(
+            f"--max-error and --max-seconds choose a tolerance, which basis {settings.basis} cannot promise; use "
+            "adapted, transport, incident or sh"
+        )
+    if settings.by_number or settings.tolerance is not None:
+        raise UserError(
+            "--max-error and --max-seconds choose the tolerance; leave out --tolerance, --terms, --truncate"
+        )
+    if settings.codes not in ("coded", None):
+        raise UserError("--max-error and --max-seconds choose how coefficients are rounded; leave out --coding")
+
+
+class _Task:
+    """One goal on one scene."""
+
+    def __init__(self, ready: Ready, goal: Goal, light: Light, settings: Settings, tell: Callable[[str], None]) -> None:
+        self.ready, self.goal, self.light, self.settings, self._tell = ready, goal, light, settings, tell
+        self.yardstick: Yardstick
+        self.held_out: Yardstick
+        self._groupings: list[Grouping] = []
+        self._priors: dict[int, LightPrior] = {}
+
+    def chooser(self, started: float, repeat: int) -> Chooser:
+        """With a pilot of its own."""
+        chosen, held_out = pilot_vertices(self.ready, self.ready.job.seed + repeat)
+        self._tell("reference of the pilot")
+        both = self._measure(np.concatenate([chosen, held_out]))
+        self.yardstick, self.held_out = both.part(slice(chosen.size)), both.part(slice(chosen.size, None))
+        samples = SAMPLES if self.goal.samples is None else (self.goal.samples,)
+        bandlimits = BANDLIMITS if self.goal.bandlimit is None else (self.goal.bandlimit,)
+        pilot = TransportPilot(self.ready, self.yardstick, held_out, samples, bandlimits, self._tell)
+        return Chooser(pilot, self._coding, self.goal, started)
+
+    def _measure(self, vertices: NDArray) -> Yardstick:
+        noise = _USUAL_NOISE if self.goal.error is None else _NOISE_PART * self.goal.error
+        if self.light.environments:
+            return MapYardstick.of(self.ready, self.light.environments, vertices, noise)
+        if not self.ready.by_blocks:
+            raise UserError("a goal for light of a spectrum needs direct light only; name maps with --environment")
+        bandlimit = _SPECTRUM_BANDLIMIT if self.light.maps else _FALLING_BANDLIMIT
+        first, second = (
+            replace(self.ready, job=replace(self.ready.job, seed=self.ready.job.seed + 1 + half))
+            .asked(_SPECTRUM_SAMPLES, bandlimit)
+            .direct()
+            .of(vertices)[0]
+            for half in (0, 1)
+        )
+        prior = self.light.prior(bandlimit)
+        return SpectrumYardstick.of(prior, vertices, (first, second), self.ready.scene.mesh.normals[vertices])
+
+    def _prior(self, bandlimit: int) -> LightPrior:
+        if bandlimit not in self._priors:
+            self._priors[bandlimit] = self.light.prior(bandlimit)
+        return self._priors[bandlimit]
+
+    def _coding(self, look: Look) -> CodingPilot:
+        self._tell(f"bases and caps on trial, {look.samples} rays, L = {look.bandlimit}")
+        if look.transfer is not None:
+            grouping = grouped(self.settings, look.transfer)
+        else:
+            if not self._groupings:
+                self._groupings.append(surveyed(self.settings, self.ready))
+            grouping = self._groupings[0]
+        return CodingPilot(self.ready, look, self.settings, grouping, self._prior, self.yardstick)
+
+    def done(
+        self, chosen: Choice, on_plan: Callable[[tuple[Effect, ...]], None], advance: Callable[[int, int], None]
+    ) -> CompressedTransfer:
+        """The whole mesh."""
+        ready = self.ready.asked(chosen.samples, chosen.bandlimit)
+        on_plan(ready.plan.effects)
+        ready.clock.stop("pilot")
+        if chosen.look.transfer is not None:
+            return compressed(chosen.look.transfer, chosen.coded.work, self._tell, time.perf_counter())
+        assert chosen.look.source is not None
+        return streamed(ready, chosen.look.source, chosen.coded.work, advance, self._tell)
+
+    def verified(self, packed: CompressedTransfer) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(lights,) error and noise of the reference at vertices that nothing was chosen by."""
+        vectors = packed.reconstruct(self.held_out.vertices)
+        found = self.held_out.errors(vectors[:, None, :] if vectors.ndim == 2 else vectors)
+        return np.sqrt(found.squared[packed.bandlimit]), self.held_out.noise

@@ -1,0 +1,253 @@
+"""Errors and times of transport with any number of rays and any bandlimit, from looking at some of the vertices.
+
+The squared error is taken as a sum of what the bandlimit leaves out and of what few rays get wrong. So a few
+combinations are traced, cheap ones first, until what the others would give is known well enough to choose.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.budget.yardstick import Error, Yardstick
+from slepian_prt.scene.meshes import morton
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.transfer import Ready, Transfer
+from slepian_prt.transport.visibility import DirectTransfer
+
+SAMPLES = tuple(1 << e for e in range(6, 15))
+BANDLIMITS = (*range(1, 11), 12, 15, 20, 25, 30, 35, 40, 45, 50)
+# Bandlimits that are looked up to, one after the other.
+_LOOKS = (10, 20, 30, 50)
+
+# Vertices to choose by; as many more are held out for the verification, and both are timed.
+PILOT = 2048
+
+# Largest table of what triangles of a net integrate to, in bytes.
+_LARGEST_TABLE = 1.5e9
+
+# Squared errors of few rays fall with this power of their number: between 1.3 and 1.7 on scans.
+_FALLS = 1.5
+
+# Microseconds for a vertex with s rays on n nodes and M harmonics, α s + β M + γ n M, and for the tables of a net,
+# δ n M: fitted on two scans and two cores. Only ratios matter: what was timed here scales them.
+_ALPHA, _BETA, _GAMMA, _DELTA = 0.083, 0.024, 3.4e-5, 3.1
+
+# Vertices one by one from all over a mesh share less of the tracer's caches than neighbours do.
+_SCATTERED = 0.88
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was found of one combination.
+
+    Attributes
+    ----------
+    samples, bandlimit : int
+    error : Error
+        At every bandlimit up to that.
+    seconds : float
+        For the whole mesh.
+    source : DirectTransfer or None
+        What traces it; None where vertices depend on each other.
+    transfer : Transfer or None
+        Where they do: all of it.
+    """
+
+    samples: int
+    bandlimit: int
+    error: Error
+    seconds: float
+    source: DirectTransfer | None
+    transfer: Transfer | None = None
+
+    def cut(self, bandlimit: int) -> Look:
+        """The same with fewer degrees, where all of it is there."""
+        assert self.transfer is not None
+        size = num_coefficients(bandlimit)
+        vectors = np.ascontiguousarray(self.transfer.vectors[:, :, :size])
+        error = Error(*(part[: bandlimit + 1] for part in self.error))
+        transfer = replace(self.transfer, vectors=vectors, bandlimit=bandlimit)
+        return replace(self, bandlimit=bandlimit, error=error, transfer=transfer)
+
+
+def pilot_vertices(ready: Ready, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices to choose by and others to verify on: every n-th along the mesh, the two in turns."""
+    receivers = np.flatnonzero(ready.scene.mesh.receivers)
+    order = receivers[np.argsort(morton(ready.scene.traced_positions[receivers]), kind="stable")]
+    count = min(2 * PILOT, order.size)
+    offset = np.random.default_rng(seed).random()
+    chosen = order[((np.arange(count) + offset) * (order.size / count)).astype(np.int64)]
+    if count == 1:
+        return chosen, chosen
+    return np.sort(chosen[::2]), np.sort(chosen[1::2])
+
+
+class TransportPilot:
+    """Errors and times by number of rays and bandlimit.
+
+    Parameters
+    ----------
+    ready : Ready
+    yardstick : Yardstick
+    timed : (n,)
+        Vertices that are traced beside those of the yardstick, for the time.
+    samples, bandlimits : tuple of int
+        What may be chosen.
+    tell : told what is looked at
+    """
+
+    def __init__(
+        self,
+        ready: Ready,
+        yardstick: Yardstick,
+        timed: NDArray,
+        samples: tuple[int, ...],
+        bandlimits: tuple[int, ...],
+        tell: Callable[[str], None],
+    ) -> None:
+        self.ready, self.yardstick, self._tell = ready, yardstick, tell
+        self.samples, self.bandlimits = samples, bandlimits
+        self._timed = np.concatenate([yardstick.vertices, timed])
+        self._looks: dict[int, Look] = {}  # by number of rays, the one to the highest bandlimit
+        self._held: dict[int, Look] = {}  # of those that traced everything
+        self._pace = 1.0  # seconds here over those that the model foresees
+
+    # --- Looking -----------------------------------------------------------------------------------------------------
+
+    def look(self, samples: int, bandlimit: int) -> Look:
+        """Trace the pilot; where vertices depend on each other, all of the mesh, once for each number of rays."""
+        held = self._held.get(samples)
+        if held is not None and held.bandlimit >= bandlimit:
+            return held.cut(bandlimit)
+        self._tell(f"pilot, {samples} rays, L = {bandlimit}")
+        found = self._by_blocks(samples, bandlimit) if self.ready.by_blocks else self._whole(samples, bandlimit)
+        known = self._looks.get(samples)
+        if known is None or known.bandlimit <= bandlimit:
+            self._looks[samples] = replace(found, source=None, transfer=None)
+        if found.transfer is not None:
+            self._held[samples] = found
+        self._pace = found.seconds / self._model(samples, bandlimit)
+        return found
+
+    def _by_blocks(self, samples: int, bandlimit: int) -> Look:
+        ready = self.ready
+        begin = time.perf_counter()
+        source = self.source(samples, bandlimit)
+        source.of(self._timed[:64])  # compiles, and makes the tables
+        prepared = time.perf_counter()
+        vectors = source.of(self._timed)[0]
+        took = time.perf_counter() - prepared
+        count = len(ready.scene.mesh.positions)
+        seconds = took * count / self._timed.size * (_SCATTERED if count > self._timed.size else 1.0)
+        error = self.yardstick.errors(vectors[: self.yardstick.vertices.size, None, :])
+        return Look(samples, bandlimit, error, seconds + prepared - begin, source)
+
+    def _whole(self, samples: int, bandlimit: int) -> Look:
+        begin = time.perf_counter()
+        transfer = self.ready.asked(samples, bandlimit).transfer()
+        seconds = time.perf_counter() - begin
+        error = self.yardstick.errors(transfer.vectors[self.yardstick.vertices])
+        return Look(samples, bandlimit, error, seconds, None, transfer)
+
+    def source(self, samples: int, bandlimit: int) -> DirectTransfer:
+        """What traces so many rays, as the whole run would."""
+        ready = self.ready
+        nodes = ready.survey.nodes(samples)
+        return DirectTransfer(ready.mi, ready.scene, bandlimit, nodes, ready.plan.shadowed, ready.job.seed)
+
+    # --- Foreseeing --------------------------------------------------------------------------------------------------
+
+    def _model(self, samples: int, bandlimit: int) -> float:
+        nodes, size = self.ready.survey.nodes(samples), num_coefficients(bandlimit)
+        count = self.ready.plan.shadowed.size
+        vertex = _ALPHA * samples + _BETA * size + _GAMMA * nodes * size
+        tables = _DELTA * nodes * size if count else 0.0
+        return 1e-6 * (vertex * count + _BETA * size * len(self.ready.scene.mesh.positions) + tables) + 1e-3
+
+    def seconds(self, samples: int, bandlimit: int) -> float:
+        """Of transport of the whole mesh, roughly; none if that is there."""
+        held = self._held.get(samples)
+        if held is not None and held.bandlimit >= bandlimit:
+            return 0.0
+        return self._pace * self._model(samples, bandlimit)
+
+    def fits(self, samples: int, bandlimit: int) -> bool:
+        """Whether the tables of the net can be held."""
+        return 384.0 * self.ready.survey.nodes(samples) * num_coefficients(bandlimit) <= _LARGEST_TABLE
+
+    @property
+    def _finest(self) -> Look:
+        """The look with the most rays."""
+        return self._looks[max(self._looks)]
+
+    def noise(self, samples: int) -> NDArray[np.float64]:
+        """(lights,) squared error that so many rays make, roughly."""
+        traced = sorted(self._looks)
+        if len(traced) < 2:
+            return np.zeros(len(self.yardstick.names))
+        fewer, most = self._looks[traced[-2]], self._looks[traced[-1]]
+        l = min(fewer.bandlimit, most.bandlimit)
+        ratio = (most.samples / fewer.samples) ** _FALLS
+        of_most = np.maximum(fewer.error.squared[l] - most.error.squared[l], 0.0) / (ratio - 1.0)
+        if samples in self._looks:
+            own = self._looks[samples]
+            l = min(own.bandlimit, most.bandlimit)
+            return np.asarray(of_most + np.maximum(own.error.squared[l] - most.error.squared[l], 0.0))
+        nearest = min(traced, key=lambda s: abs(math.log(s / samples)))
+        at_nearest = of_most if nearest == traced[-1] else self.noise(nearest)
+        return np.asarray(at_nearest * (nearest / samples) ** _FALLS)
+
+    def squared(self, samples: int, bandlimit: int) -> NDArray[np.float64]:
+        """(lights,) squared error, measured where that was looked at, else as the sum of its parts."""
+        own = self._looks.get(samples)
+        if own is not None and own.bandlimit >= bandlimit:
+            return own.error.squared[bandlimit]
+        reaching = [look for look in self._looks.values() if look.bandlimit >= bandlimit]
+        if not reaching:
+            return np.full(len(self.yardstick.names), np.inf)
+        best = max(reaching, key=lambda look: look.samples)
+        without = np.maximum(best.error.squared[bandlimit] - self.noise(best.samples), 0.0)
+        return np.asarray(without + self.noise(samples))
+
+    # --- Searching ---------------------------------------------------------------------------------------------------
+
+    def explore(self, target: float, seconds: float = math.inf) -> None:
+        """Look until a combination is known whose error leaves room for compression, or none can be.
+
+        ``target`` is that error; nothing is looked at that would take more than ``seconds`` in the whole run.
+        """
+        lowest = self._first_bandlimit()
+        for samples in self.samples[:3:2] if self.ready.by_blocks else self.samples[:1]:
+            self.look(samples, lowest)
+        while not self.feasible(target, seconds):
+            bandlimit = max(look.bandlimit for look in self._looks.values())
+            most = self._finest.samples
+            higher = [l for l in (*_LOOKS, *self.bandlimits[-1:]) if bandlimit < l <= self.bandlimits[-1]]
+            more = [s for s in self.samples if s >= 4 * most][:1]
+            noise = self.noise(most)
+            left_out = np.maximum(self.squared(most, bandlimit) - noise, 0.0)
+            by_noise = len(self._looks) == 1 or bool(np.max(noise) > np.max(left_out))
+            moves = [(s, bandlimit) for s in more] + [(most, l) for l in higher]
+            moves = [m for m in moves if self.fits(*m) and self.seconds(*m) <= seconds]
+            if not moves:
+                return
+            # What is worse is mended first, if it can be.
+            self.look(*min(moves, key=lambda m: (m[0] > most) != by_noise))
+
+    def _first_bandlimit(self) -> int:
+        return min(max(_LOOKS[0], self.bandlimits[0]), self.bandlimits[-1])
+
+    def feasible(self, target: float, seconds: float = math.inf) -> list[tuple[int, int]]:
+        """Combinations (rays, bandlimit) whose error is foreseen to be at most ``target`` under every light."""
+        return [
+            (s, l)
+            for s in self.samples
+            for l in self.bandlimits
+            if self.fits(s, l) and self.seconds(s, l) <= seconds and np.max(self.squared(s, l)) <= target**2
+        ]

@@ -1,0 +1,254 @@
+"""What errors are measured against at some of the vertices: light that is known, or only its spectrum.
+
+Both measure the error at every bandlimit at once, and take off the noise of their own reference, which is known from
+its two independent halves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.light_prior import LightPrior, light_power
+from slepian_prt.compression.prediction import Expectation
+from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
+from slepian_prt.scene.environments import Environment, project_environment
+from slepian_prt.sphere.harmonics import degrees, real_sh
+from slepian_prt.transport.transfer import LARGEST_BANDLIMIT, Ready
+
+# References per vertex take at most this many samples.
+_MOST_SAMPLES = 1 << 15
+
+# Bounces of a reference where interreflection is simulated.
+_MANY_BOUNCES = 16
+
+
+class Error(NamedTuple):
+    """Squared relative errors at the bandlimits 0, 1, …, L under each light.
+
+    Attributes
+    ----------
+    squared : (L+1, lights)
+        Noise of the reference taken off; never negative.
+    deviation : (L+1, lights)
+        Relative standard error of the root of it, because only some vertices were looked at.
+    """
+
+    squared: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+
+
+class Yardstick(Protocol):
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the lights."""
+        ...
+
+    @property
+    def vertices(self) -> NDArray[np.int64]:
+        """(n,) where errors are measured."""
+        ...
+
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        """(lights,) relative RMS of that of the reference."""
+        ...
+
+    def part(self, rows: slice) -> Yardstick:
+        """The same at some of the vertices."""
+        ...
+
+    def errors(self, vectors: NDArray) -> Error:
+        """Of transfer vectors (n, channels, (L+1)²) at the vertices, cut at every bandlimit."""
+        ...
+
+    def of_coding(self, expected: Expectation) -> NDArray[np.float64]:
+        """(lights,) squared relative errors that the loss of a compression is expected to make."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class MapYardstick:
+    """Radiance at the vertices under maps, by Monte Carlo without a bandlimit."""
+
+    environments: tuple[Environment, ...]
+    vertices: NDArray[np.int64]
+    references: tuple[ReferenceVertices, ...]
+    albedo: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, ready: Ready, environments: Sequence[Environment], vertices: NDArray, noise: float) -> MapYardstick:
+        """References with at most so much relative noise, if that can be had."""
+        view = ready.toward
+        bounces = _MANY_BOUNCES if ready.plan.interreflection else 0
+        if ready.plan.interreflection and ready.job.bounces is not None:
+            bounces = int(ready.job.bounces)
+        references = tuple(
+            vertex_reference(
+                ready.mi,
+                ready.scene,
+                environment,
+                noise=noise,
+                largest_samples=_MOST_SAMPLES,
+                bounces=bounces,
+                view=view,
+                seed=1 + int(vertices[0]),
+                vertices=vertices,
+            )
+            for environment in environments
+        )
+        albedo = np.ones((len(vertices), 3)) if view is not None else ready.scene.mesh.albedo[vertices]
+        return cls(tuple(environments), vertices, references, albedo.astype(np.float64))
+
+    def part(self, rows: slice) -> MapYardstick:
+        references = tuple(replace(reference, radiance=reference.radiance[rows]) for reference in self.references)
+        found = replace(self, vertices=self.vertices[rows], references=references, albedo=self.albedo[rows])
+        found.__dict__["_lighting"] = self._lighting
+        return found
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(environment.name for environment in self.environments)
+
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        return np.array([reference.noise for reference in self.references])
+
+    @cached_property
+    def _lighting(self) -> list[NDArray[np.float64]]:
+        return [project_environment(environment, LARGEST_BANDLIMIT) for environment in self.environments]
+
+    def errors(self, vectors: NDArray) -> Error:
+        bandlimit = math.isqrt(vectors.shape[2]) - 1
+        squared, deviation = [], []
+        for lighting, reference in zip(self._lighting, self.references, strict=True):
+            # What the reference sees as black may be inside other geometry, where transfer borrows from neighbours.
+            lit = reference.radiance.any(axis=1)
+            exact = reference.radiance[lit].astype(np.float64)
+            scale = float(np.mean(np.sum(exact**2, axis=1))) if lit.any() else 0.0
+            missing, found = -exact, []
+            for l in range(bandlimit + 1):
+                degree = slice(l * l, (l + 1) ** 2)
+                part = np.einsum("ncm,cm->nc", _channels(vectors[lit][:, :, degree]), lighting[:, degree])
+                missing = missing + part * self.albedo[lit]
+                found.append(np.sum(missing**2, axis=1))
+            one = _error(np.array(found), scale, np.full(bandlimit + 1, reference.noise**2))
+            squared.append(one.squared[:, 0])
+            deviation.append(one.deviation[:, 0])
+        return Error(np.stack(squared, axis=1), np.stack(deviation, axis=1))
+
+    def of_coding(self, expected: Expectation) -> NDArray[np.float64]:
+        bandlimit = expected.lost.size - 1
+        found = []
+        for lighting, reference in zip(self._lighting, self.references, strict=True):
+            power = sum(
+                light_power(lighting[c, : (bandlimit + 1) ** 2]) * float(np.mean(self.albedo[:, c] ** 2))
+                for c in range(3)
+            )
+            scale = float(np.mean(np.sum(reference.radiance.astype(np.float64) ** 2, axis=1)))
+            found.append(float(power @ expected.lost) / scale if scale > 0.0 else 0.0)
+        return np.array(found)
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrumYardstick:
+    """Light of a spectrum, averaged over its rotations, against transfer traced with many rays at a high bandlimit.
+
+    Attributes
+    ----------
+    name : str
+    vertices : (n,)
+    power : (R+1,)
+        Of the light per harmonic, to the bandlimit R of the reference.
+    halves : two arrays (n, channels, (R+1)²)
+        Independent of each other.
+    beyond : float
+        Mean energy of a transfer vector above R, taken to meet the power of R.
+    """
+
+    name: str
+    vertices: NDArray[np.int64]
+    power: NDArray[np.float64]
+    halves: tuple[NDArray[np.float32], NDArray[np.float32]]
+    beyond: float
+
+    @classmethod
+    def of(
+        cls, prior: LightPrior, vertices: NDArray, halves: tuple[NDArray, NDArray], normals: NDArray
+    ) -> SpectrumYardstick:
+        """From transfer without interreflection, (n, (R+1)²), traced twice."""
+        mean = 0.5 * (halves[0] + halves[1]).astype(np.float64)
+        # (1/π) ∫ V (n·ω)₊² dω / π, which degree one tells, is the energy in all degrees.
+        whole = (4.0 / 3.0) * np.sum(mean[:, 1:4] * real_sh(1, normals)[:, 1:], axis=1)
+        cross = np.sum(halves[0].astype(np.float64) * halves[1], axis=1)
+        beyond = max(0.0, float(np.mean(whole - cross)))
+        first, second = (half[:, None, :] for half in halves)
+        return cls(prior.name, vertices, prior.weights**2, (first, second), beyond)
+
+    def part(self, rows: slice) -> SpectrumYardstick:
+        first, second = (half[rows] for half in self.halves)
+        return replace(self, vertices=self.vertices[rows], halves=(first, second))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (f"light of {self.name}",)
+
+    @cached_property
+    def _degrees(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """(n, R+1) weighted squares of the reference's vectors, (R+1,) noise of its mean, and the whole energy."""
+        first, second = self.halves
+        mean = _by_degree(0.5 * (first + second)) * self.power
+        noise = np.mean(_by_degree(0.5 * (first - second)), axis=0) * self.power
+        whole = float(np.sum(np.mean(mean, axis=0) - noise)) + self.beyond * float(self.power[-1])
+        return mean, noise, whole
+
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        _, noise, whole = self._degrees
+        return np.array([math.sqrt(float(noise.sum()) / whole) if whole > 0.0 else 0.0])
+
+    def errors(self, vectors: NDArray) -> Error:
+        bandlimit = math.isqrt(vectors.shape[2]) - 1
+        reference, noise, whole = self._degrees
+        held = min(bandlimit, self.power.size - 1)
+        size = (held + 1) ** 2
+        off = _by_degree(vectors[:, :, :size] - 0.5 * (self.halves[0] + self.halves[1])[:, :, :size])
+        wrong = np.cumsum(off * self.power[: held + 1], axis=1)
+        left = reference.sum(axis=1)[:, None] - np.cumsum(reference, axis=1)[:, : held + 1]
+        squares = (wrong + left + self.beyond * float(self.power[-1])).T
+        squares = np.concatenate([squares, np.repeat(squares[-1:], bandlimit - held, axis=0)])
+        return _error(squares, whole, np.full(bandlimit + 1, float(noise.sum()) / whole if whole > 0.0 else 0.0))
+
+    def of_coding(self, expected: Expectation) -> NDArray[np.float64]:
+        _, _, whole = self._degrees
+        held = min(expected.lost.size, self.power.size)
+        return np.array([float(self.power[:held] @ expected.lost[:held]) / whole if whole > 0.0 else 0.0])
+
+
+def _error(squares: NDArray, scale: float, noise: NDArray) -> Error:
+    """From (L+1, n) squared errors of single vertices."""
+    if scale == 0.0:
+        return Error(np.zeros((len(squares), 1)), np.zeros((len(squares), 1)))
+    mean = squares.mean(axis=1)
+    spread = squares.std(axis=1) / np.sqrt(squares.shape[1])
+    squared = np.maximum(mean / scale - noise, 0.0)
+    deviation = np.where(squared > 0.0, 0.5 * spread / scale / np.maximum(squared, 1e-300), 1.0)
+    return Error(squared[:, None], np.minimum(deviation, 1.0)[:, None])
+
+
+def _channels(vectors: NDArray) -> NDArray:
+    return np.broadcast_to(vectors, (len(vectors), 3, vectors.shape[2])) if vectors.shape[1] == 1 else vectors
+
+
+def _by_degree(vectors: NDArray) -> NDArray[np.float64]:
+    """(n, L+1) squared norms in each degree, averaged over the channels."""
+    squares = np.mean(vectors.astype(np.float64) ** 2, axis=1)
+    bandlimit = math.isqrt(squares.shape[1]) - 1
+    starts = np.flatnonzero(np.diff(degrees(bandlimit), prepend=-1))
+    return np.add.reduceat(squares, starts, axis=1)
