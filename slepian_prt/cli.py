@@ -513,7 +513,12 @@ def _numbers(kind: type, text: str, name: str) -> tuple[Any, ...]:
 
 @cli.command()
 @scene_argument
-@click.option("--environment", multiple=True, required=True, type=click.Path(), help="Map; may be given several times.")
+@click.option(
+    "--environment",
+    multiple=True,
+    type=click.Path(),
+    help="Map; may be given several times.  [default: the light of the .xml scene]",
+)
 @click.option("-o", "--output", required=True, type=click.Path(), help="Folder for sweep.html, .json, .csv, plots.")
 @click.option("--samples", default="64,256,1024", show_default=True, metavar="N,…", help="Rays per vertex.")
 @click.option("--bandlimit", default="5,10", show_default=True, metavar="L,…", help="Highest degrees.")

@@ -222,12 +222,9 @@ class _Task:
         if not self.ready.by_blocks:
             raise UserError("a goal for light of a spectrum needs direct light only; name maps with --environment")
         bandlimit = _SPECTRUM_BANDLIMIT if self.light.maps else _FALLING_BANDLIMIT
+        job = replace(self.ready.job, samples=_SPECTRUM_SAMPLES, bandlimit=bandlimit)
         first, second = (
-            replace(self.ready, job=replace(self.ready.job, seed=self.ready.job.seed + 1 + half))
-            .asked(_SPECTRUM_SAMPLES, bandlimit)
-            .direct()
-            .of(vertices)[0]
-            for half in (0, 1)
+            self.ready.asked(replace(job, seed=job.seed + 1 + half)).direct().of(vertices)[0] for half in (0, 1)
         )
         prior = self.light.prior(bandlimit)
         return SpectrumYardstick.of(prior, vertices, (first, second), self.ready.scene.mesh.normals[vertices])
@@ -251,9 +248,9 @@ class _Task:
         self, chosen: Choice, on_plan: Callable[[tuple[Effect, ...]], None], advance: Callable[[int, int], None]
     ) -> CompressedTransfer:
         """The whole mesh."""
-        ready = self.ready.asked(chosen.samples, chosen.bandlimit)
+        self.ready.clock.stop("pilot")
+        ready = self.ready.asked(replace(self.ready.job, samples=chosen.samples, bandlimit=chosen.bandlimit))
         on_plan(ready.plan.effects)
-        ready.clock.stop("pilot")
         if chosen.look.transfer is not None:
             return compressed(chosen.look.transfer, chosen.coded.work, self._tell, time.perf_counter())
         assert chosen.look.source is not None

@@ -150,7 +150,8 @@ class TransportPilot:
 
     def _whole(self, samples: int, bandlimit: int) -> Look:
         begin = time.perf_counter()
-        transfer = self.ready.asked(samples, bandlimit).transfer()
+        asked = self.ready.asked(replace(self.ready.job, samples=samples, bandlimit=bandlimit))
+        transfer = asked.transfer()
         seconds = time.perf_counter() - begin
         error = self.yardstick.errors(transfer.vectors[self.yardstick.vertices])
         return Look(samples, bandlimit, error, seconds, None, transfer)

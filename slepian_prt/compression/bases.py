@@ -87,13 +87,16 @@ class LinearBasis:
 
     def first(self, count: int) -> LinearBasis:
         """The basis of the first ``count`` functions."""
-        return replace(
+        found = replace(
             self,
             count=count,
             orders=None if self.orders is None else self.orders[:count],
             radial=None if self.radial is None else self.radial[:count],
             dense=None if self.dense is None else self.dense[:count],
         )
+        if "functions" in self.__dict__:  # Gram-Schmidt went in order
+            found.__dict__["functions"] = self.functions[:count]
+        return found
 
     def halved(self) -> LinearBasis:
         """The basis with all that is stored of it in float16."""

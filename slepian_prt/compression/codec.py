@@ -69,6 +69,10 @@ _COARSEST_AXES, _FINEST_AXES = 4, 15
 # and 1.1 at 15 % error. (Far above the 0.12 of a quantiser by itself: what is coded also predicts what follows.)
 _DISTORTION_PER_BIT = 0.6
 
+# Steps are tried until rounding makes at least this part of the distortion that it may make, or so many times.
+_ENOUGH = 0.93
+_SEARCHES = 8
+
 
 @dataclass(frozen=True)
 class Tuning:
@@ -114,6 +118,8 @@ class EncodedCap:
         Sum of squares of what rounding (and turning) changed, in the units of the coefficients.
     errors : (K, K)
         Sum over the vertices of products of the coefficients' errors.
+    decoded : DecodedCap or None
+        What `decode_cap` would give, if it was wanted.
     """
 
     words: NDArray[np.uint32]
@@ -121,6 +127,7 @@ class EncodedCap:
     turned: bool
     distortion: float
     errors: NDArray[np.float64]
+    decoded: DecodedCap | None = None
 
     def cost(self, step: float) -> float:
         """In bits, distortion counted as the bits that it would take to mend it."""
@@ -247,7 +254,9 @@ def _grouped(contexts: NDArray[np.int64], models: NDArray[np.uint8]) -> list[tup
 # --- Caps ------------------------------------------------------------------------------------------------------------
 
 
-def encode_cap(coefficients: NDArray, surface: CapSurface, tuning: Tuning, *, turn: bool | None) -> EncodedCap:
+def encode_cap(
+    coefficients: NDArray, surface: CapSurface, tuning: Tuning, *, turn: bool | None, keep: bool = False
+) -> EncodedCap:
     """Code the coefficients of one cap.
 
     Parameters
@@ -257,11 +266,13 @@ def encode_cap(coefficients: NDArray, surface: CapSurface, tuning: Tuning, *, tu
     tuning : Tuning
     turn : bool or None
         Turn them to their principal axes; None where that pays, the axes themselves counted.
+    keep : bool
+        Whether what will be decoded is wanted too.
     """
     x = np.asarray(coefficients, dtype=np.float64)
     rounded = _rounded_axes(x, tuning.step) if turn is not False else None
     choices = [None, rounded] if turn is None and rounded is not None else [rounded]
-    return min((_encoded(x, surface, tuning, axes) for axes in choices), key=lambda e: e.cost(tuning.step))
+    return min((_encoded(x, surface, tuning, axes, keep) for axes in choices), key=lambda e: e.cost(tuning.step))
 
 
 def decode_cap(words: NDArray[np.uint32], components: int, surface: CapSurface, tuning: Tuning) -> DecodedCap:
@@ -310,7 +321,7 @@ def decode_cap(words: NDArray[np.uint32], components: int, surface: CapSurface, 
     return DecodedCap(full, axes)
 
 
-def _encoded(x: NDArray, surface: CapSurface, tuning: Tuning, axes: _Axes | None) -> EncodedCap:
+def _encoded(x: NDArray, surface: CapSurface, tuning: Tuning, axes: _Axes | None, keep: bool) -> EncodedCap:
     """The cap's words, with or without turning."""
     found = _passed(x if axes is None else x @ axes.rows.T, surface, tuning)
     used = np.flatnonzero(found.classes)
@@ -329,7 +340,12 @@ def _encoded(x: NDArray, surface: CapSurface, tuning: Tuning, axes: _Axes | None
         for number, places in _grouped(contexts[rows], tuning.models):
             writer.values(values[rows].ravel()[places], number)
     missed = decoded - x
-    return EncodedCap(writer.words(), used.size, axes is not None, float(np.sum(missed**2)), missed.T @ missed)
+    kept = None
+    if keep and axes is None:
+        kept = DecodedCap(found.multiples.astype(np.int32), None)
+    elif keep and axes is not None:
+        kept = DecodedCap(found.multiples[:, :width].astype(np.int32), axes.first(width).rows)
+    return EncodedCap(writer.words(), used.size, axes is not None, float(np.sum(missed**2)), missed.T @ missed, kept)
 
 
 def _write_classes(writer: Writer, classes: NDArray[np.uint8], components: int) -> None:
@@ -448,23 +464,24 @@ def tune(samples: Sequence[tuple[NDArray, CapSurface]], distortion: float, small
 
 
 def _step_for(rounding: Any, distortion: float, samples: Sequence[tuple[NDArray, CapSurface]]) -> float:
-    """The step whose rounding adds up to ``distortion``: bisection on logarithms, ending on the safe side."""
+    """The step whose rounding adds up to ``distortion``, nearly; what is coded with it is measured anyway."""
     everything = sum(float(np.sum(x**2)) for x, _ in samples)
     largest = max((float(np.abs(x).max(initial=0.0)) for x, _ in samples), default=0.0)
     if largest == 0.0 or distortion >= everything:
         return max(4.0 * largest, 1e-30)  # nothing needs to be kept
-    count = sum(x.size for x, _ in samples)
-    low = high = math.sqrt(12.0 * distortion / count)
-    while rounding(high) < distortion:
-        low, high = high, 2.0 * high
-    while low == high or rounding(low) > distortion:
-        low, high = 0.5 * low, low
-        if low < largest / LARGEST_MULTIPLE:
-            return largest / LARGEST_MULTIPLE
-    for _ in range(6):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if rounding(middle) < distortion else (low, middle)
-    return low
+    finest = largest / LARGEST_MULTIPLE
+    step = max(math.sqrt(12.0 * distortion / sum(x.size for x, _ in samples)), finest)
+    for _ in range(_SEARCHES):
+        found = rounding(step)
+        if _ENOUGH * distortion <= found <= distortion:
+            break
+        step = max(next_step(step, found, 0.5 * (1.0 + _ENOUGH) * distortion), finest)
+    return step
+
+
+def next_step(step: float, found: float, wanted: float) -> float:
+    """A step nearer to a wanted distortion, which grows with a power of the step between one and two."""
+    return step * min(max((wanted / found) ** 0.65, 0.25), 4.0) if found > 0.0 else 4.0 * step
 
 
 def _fit_shrinkage(samples: Sequence[tuple[NDArray, CapSurface]]) -> NDArray[np.uint8]:

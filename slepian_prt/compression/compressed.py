@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -244,9 +245,21 @@ class CompressedTransfer:
         surface = surface_of(self.mesh).cap(members)
         components = self.bases[number].count * self.channels
         decoded = codec.decode_cap(self.coded.words[number], components, surface, self.coded.tuning)
+        return members, self._of_members(number, decoded)
+
+    def _of_members(self, number: int, decoded: codec.DecodedCap) -> CapCoefficients:
+        """From the order of coding to that of the cap's members."""
+        assert self.coded is not None
+        members = self.clusters.members[number]
         values = np.empty(decoded.multiples.shape, dtype=np.float32)
-        values[np.searchsorted(members, surface.order)] = decoded.multiples * (self.coded.tuning.step / codec.PARTS)
-        return members, CapCoefficients(values, decoded.axes)
+        places = np.searchsorted(members, surface_of(self.mesh).cap(members).order)
+        values[places] = decoded.multiples * (self.coded.tuning.step / codec.PARTS)
+        return CapCoefficients(values, decoded.axes)
+
+    def knowing(self, decoded: Sequence[codec.DecodedCap]) -> CompressedTransfer:
+        """The same; what was coded is known, so that it need not be decoded."""
+        self.__dict__["_decoded"] = [self._of_members(c, cap) for c, cap in enumerate(decoded)]
+        return self
 
     @cached_property
     def _decoded(self) -> list[CapCoefficients]:

@@ -23,7 +23,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping, grouped, surveyed
 from slepian_prt.compression.settings import Settings
 from slepian_prt.compression.store import Block, Journal, MemoryStore, Store, journal
-from slepian_prt.compression.work import Start, Work
+from slepian_prt.compression.work import Work
 from slepian_prt.scene.environments import project_environment
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.transport.buried import borrow
@@ -47,7 +47,6 @@ def compress(
     basis: str = "adapted",
     *,
     clusters: int | Clusters | Grouping | None = None,
-    like: CompressedTransfer | None = None,
     tell: Tell = lambda _: None,
     **options: Any,
 ) -> CompressedTransfer:
@@ -58,9 +57,6 @@ def compress(
     transfer : Transfer
     basis : str
     clusters : int, or Clusters of the transfer's own axes, or a Grouping, made before
-    like : CompressedTransfer
-        Of much the same vectors (traced with another number of rays), coded with the same settings: its step is tried
-        first. Faster, and as small within a few per cent.
     tell : callable
         Told what is being done.
     **options
@@ -84,9 +80,6 @@ def compress(
         terms = settings.terms or USUAL_TERMS
         iterated = iterate_clusters(grouping.clusters, transfer.axes, transfer.vectors, terms, tell)
         grouping = Grouping(iterated, transfer.axes)
-    start = None
-    if like is not None and like.coded is not None and len(like.bases) == len(grouping.clusters.caps):
-        start = Start(like.coded.tuning, like.turned)
     work = Work(
         settings,
         transfer.mesh,
@@ -94,7 +87,6 @@ def compress(
         transfer.bandlimit,
         transfer.seed,
         toward_view=transfer.toward_view,
-        start=start,
     )
     if settings.needs_all_vectors:
         candidates = pca_candidates(transfer.bandlimit, grouping.clusters, transfer.vectors)
@@ -110,17 +102,27 @@ def compressed(transfer: Transfer, work: Work, tell: Tell, started: float) -> Co
 
     ``started`` is when compression began, by `time.perf_counter`.
     """
+    store = projected(transfer, work)
+    tell("coding")
+    return finished(transfer, work, store, started)
+
+
+def projected(transfer: Transfer, work: Work) -> MemoryStore:
+    """Blocks of vectors that are there, on bases that hold enough of them."""
     while True:
         store = MemoryStore()
         for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
             vertices = np.arange(begin, min(begin + _BLOCK, len(transfer.vectors)))
             store.add(number, work.block(vertices, transfer.vectors[vertices], np.zeros(vertices.size), 0))
         if not work.widened(store, {}):
-            break
-    tell("coding")
+            return store
+
+
+def finished(transfer: Transfer, work: Work, store: MemoryStore, started: float) -> CompressedTransfer:
+    """Code what was projected."""
     result = work.finish(store, {})
     own = transfer.environment
-    return CompressedTransfer(
+    packed = CompressedTransfer(
         **result,
         mesh=transfer.mesh,
         parts=transfer.parts,
@@ -137,6 +139,7 @@ def compressed(transfer: Transfer, work: Work, tell: Tell, started: float) -> Co
         view=transfer.view,
         toward_view=transfer.toward_view,
     )
+    return packed.knowing(work.decoded) if work.decoded else packed
 
 
 def precompute_compressed(
@@ -208,7 +211,7 @@ def streamed(
         log.info("the pilot foresaw too little error; once more with %d functions of each cap", work.bases[0].count)
     ready.clock.stop("compress")
     own = ready.scene.environment
-    return CompressedTransfer(
+    packed = CompressedTransfer(
         **result,
         mesh=mesh,
         parts=ready.scene.parts,
@@ -224,6 +227,7 @@ def streamed(
         lighting=None if own is None else project_environment(own, work.bandlimit),
         view=ready.scene.view,
     )
+    return packed.knowing(work.decoded) if work.decoded else packed
 
 
 def _trace(

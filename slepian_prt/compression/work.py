@@ -23,7 +23,7 @@ from slepian_prt.compression.pilot import Pilot, decorrelated, learn, pilot_vert
 from slepian_prt.compression.prediction import Expectation, by_degree
 from slepian_prt.compression.refinement import refine
 from slepian_prt.compression.settings import Settings
-from slepian_prt.compression.store import Block, Store
+from slepian_prt.compression.store import Block, MemoryStore, Store
 from slepian_prt.scene.meshes import Mesh
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 
@@ -42,10 +42,11 @@ _LEFT_OUT_BEFORE_REFINING = 0.003
 _FINE = 0.005
 
 # Vertices that the step and the models are fitted to, in whole caps.
-_SAMPLE = 30_000
+_SAMPLE = 15_000
 _ATTEMPTS = 3
 # What is left of the error asked for need not be used up to the last.
 _CLOSE = 0.95
+_FINER = 0.985
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,12 @@ class Trial:
     decoding: float
 
 
+def _kind(basis: LinearBasis) -> tuple[Any, ...]:
+    """How the functions of a basis are kept."""
+    parts = (basis.radial, basis.dense, basis.mean)
+    return tuple(None if part is None else part.dtype for part in parts)
+
+
 class Work:
     """One compression: what was decided, and how blocks become caps.
 
@@ -97,6 +104,10 @@ class Work:
     pilot : Pilot or None
     start : Start or None
         What coding tries first.
+    keeps : bool
+        Whether what was coded is wanted as it will be decoded too.
+    decoded : list of codec.DecodedCap
+        Where it was wanted, after `finish`.
     """
 
     bases: tuple[LinearBasis, ...]
@@ -111,9 +122,10 @@ class Work:
         seed: int,
         *,
         toward_view: bool = False,
-        start: Start | None = None,
     ) -> None:
-        self.start = start
+        self.start: Start | None = None
+        self.keeps = False
+        self.decoded: list[codec.DecodedCap] = []
         self.settings, self.mesh, self.bandlimit, self._seed = settings, mesh, bandlimit, seed
         self.clusters = grouping.clusters
         self._toward_view = toward_view
@@ -213,6 +225,28 @@ class Work:
         other._factor = 1
         other.use(self._found, self.channels)
         return other
+
+    def narrowed(self, finer: Work, store: MemoryStore) -> MemoryStore | None:
+        """What another of the same, with more functions, has projected, cut to those of this one; None if it cannot be.
+
+        The bases of ``finer`` are then this one's too, as far as they are wanted.
+        """
+        widths = {(basis.count, mine.count) for basis, mine in zip(finer.bases, self.bases, strict=True)}
+        alike = all(_kind(a) == _kind(b) for a, b in zip(finer.bases, self.bases, strict=True))
+        if len(widths) != 1 or not alike:
+            return None
+        ((wide, narrow),) = widths
+        if narrow > wide:
+            return None
+        self.bases = tuple(basis.first(narrow) for basis in finer.bases)
+        found = MemoryStore()
+        for number, block in store:
+            columns = block.coefficients.reshape(-1, wide * self.channels)
+            figures = block.figures.copy()
+            figures[:, 2] += np.sum(columns[:, narrow * self.channels :] ** 2, axis=1)
+            kept = np.ascontiguousarray(columns[:, : narrow * self.channels]).ravel()
+            found.add(number, block._replace(figures=figures, coefficients=kept))
+        return found
 
     @property
     def energies(self) -> NDArray[np.float64]:
@@ -341,6 +375,7 @@ class Work:
         total, missed = caps.energies()
         everything = range(len(self.bases))
         tuning, encoded = self._encoded(caps, everything, self._distortion(total, missed))
+        self.decoded = [cap.decoded for cap in encoded if cap.decoded is not None]
         used = np.array([cap.used / self.channels for cap in encoded]) + (self.bases[0].mean is not None)
         return {
             "bases": self.bases,
@@ -411,6 +446,8 @@ class Work:
             tuning = codec.tune([caps.along(c) for c in chosen], wanted * part, finest)
         else:
             tuning, turned = self.start.tuning, self.start.turned or turned
+            # Coded once more if it were a little too coarse; a little too fine is good enough.
+            tuning = replace(tuning, step=_FINER * tuning.step)
         best: tuple[codec.Tuning, list[codec.EncodedCap]] | None = None
         attempts = 0
         encoded: list[codec.EncodedCap] = []
@@ -421,18 +458,21 @@ class Work:
             distortion = sum(cap.distortion for cap in encoded)
             if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
                 best = tuning, encoded
-            close = _CLOSE * wanted <= distortion <= wanted or tuning.step <= finest or distortion == 0.0
+            enough = _CLOSE if self.start is None else _CLOSE * _FINER**2
+            close = enough * wanted <= distortion <= wanted or tuning.step <= finest or distortion == 0.0
+            # If nothing is coded, a coarser step changes nothing.
+            close = close or (distortion <= wanted and not any(cap.used for cap in encoded))
             if best is not None and (close or attempts >= _ATTEMPTS):
                 return best
-            # Distortion grows with a power of the step between one and two; a little less than aimed for is enough.
-            change = (0.5 * (1.0 + _CLOSE) * wanted / distortion) ** 0.65
-            tuning = replace(tuning, step=max(tuning.step * min(max(change, 0.25), 4.0), finest))
+            # A little less than aimed for is enough.
+            step = codec.next_step(tuning.step, distortion, 0.5 * (1.0 + _CLOSE) * wanted)
+            tuning = replace(tuning, step=max(step, finest))
 
     def _encode(self, caps: Caps, c: int, tuning: codec.Tuning, turn: bool | None) -> codec.EncodedCap:
         """One cap; without ``turn``, turned as was asked for."""
         if turn is None:
             turn = False if self.settings.needs_all_vectors else self.settings.refine
-        return codec.encode_cap(*caps.along(c), tuning, turn=turn)
+        return codec.encode_cap(*caps.along(c), tuning, turn=turn, keep=self.keeps)
 
     def some_caps(self, vertices: int, numbers: Sequence[int] | None = None) -> list[int]:
         """Caps of all sizes that together hold so many vertices, the same every time."""

@@ -22,14 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.family import Family
 from slepian_prt.compression.grouping import Grouping, grouped
 from slepian_prt.compression.pipeline import compress
 from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.work import Start
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import versions
 from slepian_prt.evaluation.errors import relative_rms
 from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
-from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.environments import Environment, project_environment
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
@@ -37,7 +38,7 @@ from slepian_prt.transport.transfer import Job, Ready, Transfer
 
 # Vertices that errors are measured at, and those that transport is timed on at each bandlimit.
 REFERENCE_VERTICES = 4000
-_TIMED = 2048
+_TIMED = 1024
 _RUNS = 3
 
 # Of a reference for transfer with as many bounces as matter.
@@ -91,8 +92,8 @@ class Axes:
     def settings(self) -> Iterator[Setting]:
         """All combinations, those that share most next to each other."""
         for samples, bounces in product(self.samples, self.bounces):
-            for bandlimit, clusters in product(self.bandlimits, self.clusters):
-                for basis, tolerance in product(self.bases, self.tolerances):
+            for bandlimit, clusters, basis in product(self.bandlimits, self.clusters, self.bases):
+                for tolerance in sorted(self.tolerances):
                     yield Setting(samples, bandlimit, clusters, basis, tolerance, bounces)
 
 
@@ -131,8 +132,8 @@ class Point:
         timed with the largest number of rays, which hardly matters to it.
     transport_spread : float
         Of some runs on that sample, longest less shortest over the median.
-    relight_seconds : float
-        Mean over the environments.
+    prepare_seconds, relight_seconds : float
+        Before the first light, and for each, the mean over the environments.
     """
 
     setting: Setting
@@ -142,6 +143,7 @@ class Point:
     transport_seconds: float
     transport_spread: float
     compress_seconds: float
+    prepare_seconds: float
     relight_seconds: float
 
     @property
@@ -268,7 +270,7 @@ def sweep(
     Parameters
     ----------
     scene : path
-    environments : maps
+    environments : maps; without any, the light of a Mitsuba scene itself
     axes : Axes
     job : Job
         Of it the effects, albedo and seed count.
@@ -284,53 +286,56 @@ def sweep(
     UserError
     """
     axes.check()
-    if not environments:
-        raise UserError("no light: name a map with --environment")
+    if not environments and Path(scene).suffix.lower() != ".xml":
+        raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
     settings = list(axes.settings())
-    kept = Journal(journal, scene, environments, job, noise)
-    found = {setting: kept.points[setting] for setting in settings if setting in kept.points}
-    if found:
-        tell(f"{len(found)} of {len(settings)} settings were measured before and are kept")
-        advance(len(found), len(settings))
-    measure: _Measure | None = None
-    shared: dict[str, float] = {}
-    # The most rays first: what is coded with them helps the others.
-    traced = list(product(sorted(axes.samples, reverse=True), axes.bounces))
-    for samples, bounces in traced:
-        left = [s for s in settings if (s.samples, s.bounces) == (samples, bounces) and s not in found]
-        if not left and (measure is not None or (samples, bounces) != traced[-1]):
-            continue
-        own = replace(job, samples=samples, bandlimit=max(axes.bandlimits), bounces=bounces)
-        tell(f"transport, {samples} rays, L = {own.bandlimit}")
-        with own.opened(scene, on_plan if measure is None else (lambda _: None)) as ready:
-            begin = time.perf_counter()
-            ready.direct().of(np.flatnonzero(ready.scene.mesh.receivers)[:64])
-            shared.setdefault("kernels", time.perf_counter() - begin)
-            parts = _parts(ready, axes.bandlimits)
-            ready.clock.stop("timing")
-            transfer = ready.transfer()
-            if measure is None:
-                tell("references")
-                most = max(_MANY_BOUNCES if n is None else n for n in axes.bounces)
-                measure = _Measure.made(ready, transfer, environments, noise, most)
-                shared["references"] = sum(reference.seconds for reference in measure.references)
-        shared |= {stage: transfer.seconds[stage] for stage in ("load", "plan")}
-        for setting in left:
-            tell(setting.label)
-            found[setting] = measure.point(setting, transfer, *parts[setting.bandlimit])
-            kept.add(found[setting])
-            advance(1, len(settings))
-    assert measure is not None
+    first = replace(job, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
+    with first.opened(scene, on_plan) as ready:
+        if not environments:
+            if ready.scene.environment is None:
+                raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
+            environments = [ready.scene.environment]
+        kept = Journal(journal, ready, environments, noise)
+        found = {setting: kept.points[setting] for setting in settings if setting in kept.points}
+        if found:
+            tell(f"{len(found)} of {len(settings)} settings were measured before and are kept")
+            advance(len(found), len(settings))
+        begin = time.perf_counter()
+        ready.direct().of(np.flatnonzero(ready.scene.mesh.receivers)[:64])
+        shared = {**ready.clock.seconds, "kernels": time.perf_counter() - begin}
+        tell("references")
+        measure = _Measure.made(ready, environments, noise, _most(axes.bounces))
+        shared["references"] = sum(reference.seconds for reference in measure.references)
+        # The most rays first: what is coded with them helps the others.
+        for samples, bounces in product(sorted(axes.samples, reverse=True), axes.bounces):
+            left = [s for s in settings if (s.samples, s.bounces) == (samples, bounces) and s not in found]
+            if not left:
+                continue
+            tell(f"transport, {samples} rays, L = {first.bandlimit}")
+            asked = ready.asked(replace(first, samples=samples, bounces=bounces))
+            parts = _parts(asked, axes.bandlimits)
+            asked.clock.stop("timing")
+            transfer = asked.transfer()
+            for setting in left:
+                tell(setting.label)
+                found[setting] = measure.point(setting, transfer, *parts[setting.bandlimit])
+                kept.add(found[setting])
+                advance(1, len(settings))
     kept.remove()
     return Sweep(
         str(scene),
-        len(transfer.positions),
+        len(ready.scene.mesh.positions),
         tuple(environment.name for environment in environments),
         {e.name: reference.noise for e, reference in zip(environments, measure.references, strict=True)},
         tuple(found[setting] for setting in settings),
         shared,
-        transfer.effects,
+        ready.plan.effects,
     )
+
+
+def _most(bounces: Sequence[int | None]) -> int:
+    """Bounces of a reference for all of these."""
+    return max(_MANY_BOUNCES if count is None else count for count in bounces)
 
 
 def _parts(ready: Ready, bandlimits: Sequence[int]) -> dict[int, tuple[float, float]]:
@@ -360,75 +365,119 @@ class _Measure:
     vertices : (n,)
         That have a reference.
     references : one for each environment
+    albedo : (n, 3)
     """
 
     environments: tuple[Environment, ...]
     vertices: NDArray[np.int64]
     references: tuple[ReferenceVertices, ...]
+    albedo: NDArray[np.float32]
     # Caps by their number, which no other axis changes, and the seconds that they took.
     _groupings: dict[int, tuple[Grouping, float]] = field(default_factory=dict, init=False, repr=False)
-    # What was coded with the largest number of rays.
-    _coded: dict[Setting, CompressedTransfer] = field(default_factory=dict, init=False, repr=False)
+    # What the settings with the largest number of rays took, and what those with fewer may start from.
+    _timed: dict[Setting, _Timed] = field(default_factory=dict, init=False, repr=False)
+    # Those with fewer rays that differ in their tolerance only.
+    _family: list[tuple[Setting, Family]] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
-    def made(
-        cls, ready: Ready, transfer: Transfer, environments: Sequence[Environment], noise: float, most_bounces: int
-    ) -> _Measure:
+    def made(cls, ready: Ready, environments: Sequence[Environment], noise: float, most_bounces: int) -> _Measure:
         receivers = np.flatnonzero(ready.scene.mesh.receivers)
-        rng = np.random.default_rng(transfer.seed)
+        rng = np.random.default_rng(ready.job.seed)
         vertices = np.sort(rng.choice(receivers, min(REFERENCE_VERTICES, receivers.size), replace=False))
-        view = transfer.view if transfer.toward_view else None
         bounces = most_bounces if ready.plan.interreflection else 0
         references = tuple(
-            vertex_reference(
-                ready.mi, ready.scene, environment, noise=noise, bounces=bounces, view=view, vertices=vertices
-            )
+            vertex_reference(ready.mi, ready.scene, environment, noise=noise, bounces=bounces, vertices=vertices)
             for environment in environments
         )
-        return cls(tuple(environments), vertices, references)
+        return cls(tuple(environments), vertices, references, ready.scene.mesh.albedo[vertices])
 
     def point(self, setting: Setting, transfer: Transfer, part: float, spread: float) -> Point:
         """Compress transfer of the highest bandlimit as a setting wants it, and measure."""
         size = num_coefficients(setting.bandlimit)
-        cut = replace(transfer, bandlimit=setting.bandlimit, vectors=transfer.vectors[:, :, :size], environment=None)
+        lights = [project_environment(environment, setting.bandlimit) for environment in self.environments]
+        alike = replace(setting, samples=0)
+        timed = self._timed.get(alike)
+        if timed is None:
+            # The largest number of rays comes first and is timed by itself; others share what they can.
+            packed = self._alone(setting, _cut(transfer, setting.bandlimit))
+            begin = time.perf_counter()
+            turned = packed.turned  # decodes
+            decoded = time.perf_counter()
+            vectors = packed.reconstruct(self.vertices)
+            rest = time.perf_counter()
+            operator = packed.operator
+            prepared = time.perf_counter()
+            for light in lights:
+                operator.apply(light[None])
+            seconds = (time.perf_counter() - prepared) / len(lights)
+            start = None if packed.coded is None else Start(packed.coded.tuning, turned)
+            prepare = decoded - begin + prepared - rest
+            timed = _Timed(packed.seconds["compress"], prepare, seconds, start)
+            self._timed[alike] = timed
+        else:
+            packed = self._family_of(setting, transfer).compressed(setting.tolerance, timed.start)
+            vectors = packed.reconstruct(self.vertices)
+        traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage in _TRACED)
+        return Point(
+            setting,
+            self._errors(vectors if vectors.ndim == 3 else vectors[:, None, :], lights),
+            self._errors(transfer.vectors[self.vertices][:, :, :size], lights),
+            packed.bytes_per_vertex,
+            traced * part,
+            spread,
+            timed.compress,
+            timed.prepare,
+            timed.relight,
+        )
+
+    def _grouping(self, setting: Setting, transfer: Transfer) -> tuple[Grouping, float]:
         if setting.clusters not in self._groupings:
             begin = time.perf_counter()
             grouping = grouped(Settings(clusters=setting.clusters), transfer)
             self._groupings[setting.clusters] = grouping, time.perf_counter() - begin
-        grouping, grouped_in = self._groupings[setting.clusters]
-        # The largest number of rays comes first and is timed; others start from what it was coded with.
-        alike = replace(setting, samples=0)
-        first = self._coded.get(alike)
-        packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=grouping, like=first)
-        compressed_in = packed.seconds["compress"] + grouped_in
-        if first is None:
-            self._coded[alike] = replace(packed, seconds={"compress": compressed_in})
-        else:
-            compressed_in = first.seconds["compress"]
-        traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage in _TRACED)
-        lights = [project_environment(environment, setting.bandlimit) for environment in self.environments]
-        packed.radiance(lights[0])  # prepares it
-        begin = time.perf_counter()
-        radiance = [packed.radiance(light) for light in lights]
-        seconds = (time.perf_counter() - begin) / len(lights)
-        return Point(
-            setting,
-            self._errors(radiance),
-            self._errors([relight(cut, light) for light in lights]),
-            packed.bytes_per_vertex,
-            traced * part,
-            spread,
-            compressed_in,
-            seconds,
-        )
+        return self._groupings[setting.clusters]
 
-    def _errors(self, radiance: Sequence[NDArray]) -> dict[str, float]:
+    def _alone(self, setting: Setting, cut: Transfer) -> CompressedTransfer:
+        """As a user would have it, the time for caps included."""
+        grouping, seconds = self._grouping(setting, cut)
+        packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=grouping)
+        return replace(packed, seconds={"compress": packed.seconds["compress"] + seconds})
+
+    def _family_of(self, setting: Setting, transfer: Transfer) -> Family:
+        """Settings that follow each other and differ in their tolerance share bases and projections."""
+        alike = replace(setting, tolerance=0.0)
+        if not self._family or self._family[0][0] != alike:
+            settings = Settings(basis=setting.basis, clusters=setting.clusters)
+            grouping, _ = self._grouping(setting, transfer)
+            self._family[:] = [(alike, Family(_cut(transfer, setting.bandlimit), settings, grouping))]
+        return self._family[0][1]
+
+    def _errors(self, vectors: NDArray, lights: Sequence[NDArray]) -> dict[str, float]:
+        """Of transfer vectors (n, channels, (L+1)²) at the vertices that have a reference."""
         found = {}
-        for environment, reference, one in zip(self.environments, self.references, radiance, strict=True):
+        for environment, reference, light in zip(self.environments, self.references, lights, strict=True):
             # What the reference sees as black may be inside other geometry, where transfer borrows from neighbours.
             lit = reference.radiance.any(axis=1)
-            found[environment.name] = relative_rms(one[self.vertices[lit]], reference.radiance[lit])
+            radiance = np.einsum("ncm,dm->ncd" if vectors.shape[1] == 1 else "ndm,dm->nd", vectors[lit], light)
+            radiance = radiance.reshape(-1, 3) * self.albedo[lit]
+            found[environment.name] = relative_rms(radiance, reference.radiance[lit])
         return found
+
+
+@dataclass(frozen=True)
+class _Timed:
+    """What one setting took, with the largest number of rays."""
+
+    compress: float
+    prepare: float
+    relight: float
+    start: Start | None
+
+
+def _cut(transfer: Transfer, bandlimit: int) -> Transfer:
+    """With fewer degrees, apart from the light of the scene."""
+    vectors = transfer.vectors[:, :, : num_coefficients(bandlimit)]
+    return replace(transfer, bandlimit=bandlimit, vectors=vectors, environment=None)
 
 
 class Journal:
@@ -439,12 +488,10 @@ class Journal:
     points : dict of Setting to Point
     """
 
-    def __init__(
-        self, path: Path | None, scene: str | Path, environments: Sequence[Environment], job: Job, noise: float
-    ) -> None:
+    def __init__(self, path: Path | None, ready: Ready, environments: Sequence[Environment], noise: float) -> None:
         self._path = path
         self.points: dict[Setting, Point] = {}
-        self._key = _fingerprint(scene, environments, job, noise)
+        self._key = _fingerprint(ready, environments, noise)
         if path is None or not path.is_file():
             return
         for line in path.read_text().splitlines():
@@ -474,13 +521,19 @@ class Journal:
             self._path.unlink(missing_ok=True)
 
 
-def _fingerprint(scene: str | Path, environments: Sequence[Environment], job: Job, noise: float) -> str:
+def _fingerprint(ready: Ready, environments: Sequence[Environment], noise: float) -> str:
     """Of everything but the axes that a point depends on."""
     digest = hashlib.sha256()
-    own = replace(job, samples=1, bandlimit=0, bounces=None)
+    own = replace(ready.job, samples=1, bandlimit=0, bounces=None)
     digest.update(repr((versions(), machine(), own, noise)).encode())
-    if Path(scene).is_file():  # if not, opening it says what is wrong
-        digest.update(Path(scene).read_bytes())
+    mesh = ready.scene.mesh
+    for array in (mesh.positions, mesh.normals, mesh.faces, mesh.albedo):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for shape in ready.scene.occluders:
+        box = shape.bbox()
+        digest.update(
+            repr((np.array(box.min), np.array(box.max), float(np.array(shape.surface_area()).ravel()[0]))).encode()
+        )
     for environment in environments:
         digest.update(repr((environment.name, environment.to_world.tolist())).encode())
         digest.update(environment.texels.tobytes())

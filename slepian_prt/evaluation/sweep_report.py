@@ -56,6 +56,7 @@ def _csv(sweep: Sweep) -> str:
     fields = [
         "samples", "bounces", "bandlimit", "clusters", "basis", "tolerance", "environment", "error", "full_error",
         "noise", "bytes_per_vertex", "transport_seconds", "transport_spread", "compress_seconds", "seconds",
+        "prepare_seconds",
         "relight_seconds",
     ]  # fmt: skip
     writer = csv.DictWriter(text, fields, lineterminator="\n")

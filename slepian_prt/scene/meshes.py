@@ -8,6 +8,7 @@ import logging
 import struct
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ class Mesh:
     albedo: NDArray[np.float32]
     notes: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def receivers(self) -> NDArray[np.bool_]:
         """(V,) True where a face uses the vertex."""
         return np.any(self.normals != 0.0, axis=1)

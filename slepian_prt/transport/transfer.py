@@ -215,10 +215,10 @@ class Ready:
     toward: View | None
     clock: Clock
 
-    def asked(self, samples: int, bandlimit: int) -> Ready:
-        """The same scene, planned for other numbers."""
-        job = replace(self.job, samples=samples, bandlimit=bandlimit)
-        return replace(self, job=job, plan=self.survey.plan(bandlimit, samples, job.effects, self.toward))
+    def asked(self, job: Job) -> Ready:
+        """The same scene, planned for other numbers, with a clock of its own; ``albedo`` and ``view`` stay."""
+        plan = self.survey.plan(job.bandlimit, int(job.samples), job.effects, self.toward)
+        return replace(self, job=job, plan=plan, clock=Clock(self.clock.seconds))
 
     @property
     def by_blocks(self) -> bool:
@@ -318,8 +318,8 @@ def _remark_on_closed(path: str, effects: tuple[Effect, ...]) -> None:
 class Clock:
     """Seconds between calls."""
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+    def __init__(self, seconds: dict[str, float] | None = None) -> None:
+        self.seconds: dict[str, float] = dict(seconds or {})
         self._last = time.perf_counter()
 
     def stop(self, stage: str) -> None:

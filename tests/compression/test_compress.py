@@ -6,10 +6,14 @@ import pytest
 
 from slepian_prt.compression.bases import ANALYTIC, Frame, Problem, candidates, shared_half_angle
 from slepian_prt.compression.clusters import cluster_axes, spread
+from slepian_prt.compression.compressed import load
+from slepian_prt.compression.family import Family
+from slepian_prt.compression.grouping import grouped
 from slepian_prt.compression.pilot import learn, pilot_vertices
 from slepian_prt.compression.pipeline import compress
-from slepian_prt.compression.settings import BASES
+from slepian_prt.compression.settings import BASES, Settings
 from slepian_prt.compression.truncation import by_tolerance, predicted_error, tails
+from slepian_prt.compression.work import Start
 from slepian_prt.scene.meshes import make_mesh
 from slepian_prt.slepian.shannon import concentration_count, generalized_shannon_number
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
@@ -253,14 +257,35 @@ def test_adapted_prediction_on_the_skull(data):
         assert packed.predicted_error == pytest.approx(error(packed, transfer), rel=0.1)
 
 
+def test_a_family_is_what_each_would_be_alone(shadowed):
+    """Shared bases and projections change nothing but rounding of the sums."""
+    settings = Settings(clusters=16)
+    family = Family(shadowed, settings, grouped(settings, shadowed))
+    for tolerance in (0.02, 0.05, 0.2, 0.01):  # the last needs more functions than were projected on
+        packed, alone = family.compressed(tolerance), compress(shadowed, tolerance=tolerance, clusters=16)
+        assert packed.bytes_per_vertex == pytest.approx(alone.bytes_per_vertex, rel=2e-3)
+        assert packed.bases[0].count == alone.bases[0].count
+        assert error(packed, shadowed) == pytest.approx(error(alone, shadowed), rel=2e-2)
+        assert error(packed, shadowed) <= tolerance * (1.0 + 1e-6)
+
+
+def test_what_was_coded_is_known_as_it_will_be_decoded(shadowed, tmp_path):
+    settings = Settings(clusters=16)
+    packed = Family(shadowed, settings, grouped(settings, shadowed)).compressed(0.05)
+    packed.save(tmp_path / "a.prt")
+    vertices = np.array([700, 3, 3, 1500])
+    for wanted in (None, vertices):
+        np.testing.assert_array_equal(load(tmp_path / "a.prt").reconstruct(wanted), packed.reconstruct(wanted))
+    np.testing.assert_array_equal(packed.reconstruct(vertices), packed.reconstruct()[vertices])
+
+
 def test_starting_from_what_much_the_same_was_coded_with(shadowed):
+    settings = Settings(clusters=16)
     fewer = precompute(bumpy(4), bandlimit=6, samples=64)
     before = compress(shadowed, tolerance=0.05, clusters=16)
-    cold, warm = compress(fewer, tolerance=0.05, clusters=16), compress(fewer, tolerance=0.05, clusters=16, like=before)
-    error = np.linalg.norm(warm.reconstruct() - fewer.vectors[:, 0]) / np.linalg.norm(fewer.vectors)
-    assert error <= 0.05 * (1.0 + 1e-6)
+    cold = compress(fewer, tolerance=0.05, clusters=16)
+    start = Start(before.coded.tuning, before.turned)
+    warm = Family(fewer, settings, grouped(settings, fewer)).compressed(0.05, start)
+    assert error(warm, fewer) <= 0.05 * (1.0 + 1e-6)
     assert warm.bytes_per_vertex <= 1.05 * cold.bytes_per_vertex
     assert warm.turned == before.turned
-    # Other caps, or nothing coded: it starts afresh.
-    other = compress(fewer, tolerance=0.05, clusters=8, like=before)
-    assert other.bytes_per_vertex == compress(fewer, tolerance=0.05, clusters=8).bytes_per_vertex
