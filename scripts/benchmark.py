@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from benchmarks.accuracy import accuracy
 from benchmarks.compression import compression
 from benchmarks.relighting import relighting
 from benchmarks.sphere import sphere
@@ -14,6 +15,7 @@ BENCHMARKS = {
     "compression": compression,
     "transport": transport,
     "relighting": relighting,
+    "accuracy": accuracy,
     "dragons": dragons,
 }
 

@@ -14,11 +14,16 @@ import numpy as np
 
 import slepian_prt as sp
 from slepian_prt.evaluation import pit, spectra
+from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.errors import relative_rms
 from slepian_prt.evaluation.reference import render_reference
+from slepian_prt.evaluation.report import ladder_plot
+from slepian_prt.evaluation.sweep import Axes, sweep
+from slepian_prt.evaluation.sweep_report import fronts
 from slepian_prt.relighting.picture import exposure, to_srgb, trace_camera
 from slepian_prt.scene.environments import make_environment
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.transport.transfer import Job
 
 ROOT = Path(__file__).parent.parent
 FIGURES = ROOT / "docs" / "figures"
@@ -82,6 +87,28 @@ def effects() -> None:
         axis.axis("off")
     figure.subplots_adjust(wspace=0.02)
     save(figure, "effects")
+
+
+def accuracy() -> None:
+    """The shipped scene: error against seconds and against bytes, with the settings that are not beaten."""
+    scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
+    axes = Axes((64, 256, 1024), (5, 10, 15, 20), tolerances=(0.3, 0.2, 0.1, 0.05, 0.02))
+    found = sweep(scene, [sky], axes, Job())
+    for (_, cost), picture in fronts(found)["figures"].items():
+        write(f"accuracy_{cost}", picture)
+
+
+def ladder() -> None:
+    """The shipped scene: what each step from the path-traced picture to coded coefficients adds."""
+    scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
+    found = compare(scene, [sky], job=Job(10, 1024), methods=("adapted",), terms=(16,), noise=0.005)
+    write("ladder", ladder_plot(found.ladder))
+
+
+def write(name: str, picture: bytes) -> None:
+    FIGURES.mkdir(parents=True, exist_ok=True)
+    (FIGURES / f"{name}.png").write_bytes(picture)
+    print(f"docs/figures/{name}.png")
 
 
 def paper_figure_2() -> None:
@@ -272,6 +299,8 @@ def shannon() -> None:
 FIGURE_MAKERS = {
     "teaser": teaser,
     "effects": effects,
+    "accuracy": accuracy,
+    "ladder": ladder,
     "paper_figure_2": paper_figure_2,
     "paper_figure_3": paper_figure_3,
     "paper_figure_4": paper_figure_4,

@@ -12,7 +12,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -451,10 +451,18 @@ def relight(
 @clamp_option
 @click.option("--width", type=int, help="Of the pictures, in pixels.  [default: that of the scene's camera, or 400]")
 @click.option("--noise", default=0.01, show_default=True, help="Wanted relative noise of the references.")
+@click.option(
+    "--sweep",
+    "swept",
+    type=click.Path(),
+    metavar="FILE",
+    help="The sweep.json of this scene: its fronts are shown too.",
+)
 def compare(
     scene: str,
     environment: tuple[str, ...],
     output: str,
+    swept: str | None,
     bases: tuple[str, ...],
     terms: tuple[int, ...],
     rotate: float,
@@ -473,6 +481,7 @@ def compare(
     from slepian_prt.evaluation.compare import DEFAULT_TERMS
     from slepian_prt.evaluation.compare import compare as run
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
+    from slepian_prt.evaluation.sweep import Sweep
     from slepian_prt.transport.transfer import Job
 
     job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
@@ -483,6 +492,9 @@ def compare(
         Settings(terms=k).check(job.bandlimit)
     check_width(width)
     check_folder(output)
+    found = None if swept is None else Sweep.read(swept)
+    if found is not None and Path(found.source).name != Path(scene).name:
+        raise UserError(f"{swept}: is a sweep of {found.source}, not of {scene}; name that of this scene")
     maps = read_maps(environment, clamp_negative, rotate)
     with progress("transport", "vertices") as (advance, tell):
         comparison = run(
@@ -498,7 +510,7 @@ def compare(
             on_plan=print_plan,
             advance=advance,
         )
-    page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]))
+    page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), found)
     lights = f"{len(comparison.views)} environment{'s' if len(comparison.views) > 1 else ''}"
     click.echo(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
 
@@ -576,7 +588,8 @@ def sweep(
         found = sweeping.sweep(
             scene, maps, axes, job, noise=noise, journal=journal, tell=tell, advance=advance, on_plan=print_plan
         )
-    page = write_sweep(found, output, "slepian-prt " + shlex.join(sys.argv[1:]))
+    found = replace(found, command="slepian-prt " + shlex.join(sys.argv[1:]))
+    page = write_sweep(found, output)
     for sentence in sweeping.findings(found):
         note(sentence)
     table = Table(box=None, pad_edge=False, header_style="bold")

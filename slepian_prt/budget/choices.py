@@ -17,19 +17,21 @@ from slepian_prt.errors import UserError
 
 # Parts of the error asked for that transport alone may make, one contender for each, if what it takes to look at it is
 # at most such a part of what the best so far takes.
-_PARTS = (0.75, 0.6, 0.9)
+_PARTS = (0.75, 0.6, 0.9, 0.96)
+_GOOD = 0.9
 _LOOKING = 0.2
-_LEAST_FOR_CODING = 0.25
+_LEAST_FOR_CODING = 0.2
 
 # Standard errors of the pilot, and of the vertices held out, that are kept free; and what models may be off by.
 _SAFE = 2.3
 _MODELS_OFF = 0.03
+_MOST_FREE = 0.2
 
 # With a time to keep: how much of it is kept free, and how much transport may have of the rest.
 _TIME_OFF = 0.12
 _FOR_TRANSPORT = 0.7
 _FOR_LOOKING = 0.3
-_TRIES = 5
+_TRIES = 4
 
 
 @dataclass(frozen=True)
@@ -131,19 +133,28 @@ class Chooser:
     # --- A wanted error ----------------------------------------------------------------------------------------------
 
     def _for_error(self, wanted: float) -> Choice:
-        transport = self._transport
-        transport.explore(min(_PARTS) * wanted)
-        best: Choice | None = None
         tried: set[tuple[int, int]] = set()
+        for good in (_GOOD, 0.0):
+            # Dear looks are spared if there is something good enough, unless that turns out to be none.
+            self._transport.explore(_PARTS[0] * wanted, good * wanted)
+            best = self._fastest(wanted, tried)
+            if best is not None:
+                return best
+        raise self._cannot(wanted)
+
+    def _fastest(self, wanted: float, tried: set[tuple[int, int]]) -> Choice | None:
+        """The fastest of some contenders, as many as it pays to look at."""
+        transport = self._transport
+        best: Choice | None = None
         for part in _PARTS:
             began = self.spent
             for _ in range(_TRIES):
-                left = [c for c in transport.feasible(part * wanted) if c not in tried]
+                left = [c for c in transport.feasible(part * wanted) if c not in tried and self._room(*c, wanted)]
                 # Transport that takes as long as the best choice in all cannot lead to a better one.
                 left = [c for c in left if best is None or transport.seconds(*c) < 0.9 * best.seconds]
                 if not left:
                     break
-                fastest = min(left, key=lambda c: transport.seconds(*c))
+                fastest = min(left, key=lambda c: transport.rough(*c))
                 tried.add(fastest)
                 found = self._measured(*fastest, wanted)
                 if found is not None:
@@ -152,19 +163,19 @@ class Chooser:
                     break
             if best is not None and self.spent - began > _LOOKING * best.seconds:
                 break
-        if best is None:
-            raise self._cannot(wanted)
         return best
 
     def _measured(self, samples: int, bandlimit: int, wanted: float) -> Choice | None:
         """A contender with the coarsest tolerance that meets ``wanted``, or None if there is no room for it."""
         look = self._transport.look(samples, bandlimit)
-        squared, deviation = look.error.squared[bandlimit], look.error.deviation[bandlimit]
-        free = 1.0 - np.minimum(_MODELS_OFF + _SAFE * deviation * squared / wanted**2, 0.2)
-        rest = (free * wanted) ** 2 - squared
-        if np.any(rest < (_LEAST_FOR_CODING * wanted) ** 2):
-            return None
-        return self._completed(look, rest)
+        rest = _rest(look.error.squared[bandlimit], look.error.deviation[bandlimit], wanted)
+        return None if np.any(rest < (_LEAST_FOR_CODING * wanted) ** 2) else self._completed(look, rest)
+
+    def _room(self, samples: int, bandlimit: int, wanted: float) -> bool:
+        """Whether transport is foreseen to leave room for compression."""
+        transport = self._transport
+        rest = _rest(transport.squared(samples, bandlimit), transport.deviation(samples, bandlimit), wanted)
+        return bool(np.all(rest >= (_LEAST_FOR_CODING * wanted) ** 2))
 
     def _completed(self, look: Look, rest: NDArray) -> Choice:
         squared, deviation = look.error.squared[look.bandlimit], look.error.deviation[look.bandlimit]
@@ -206,7 +217,7 @@ class Chooser:
                 f"{seconds:g} seconds cannot be kept: loading, planning and the pilot took {self.spent:.1f}; ask for "
                 f"--max-seconds {math.ceil(2.0 * self.spent)} or more"
             )
-        transport.explore(0.0, _FOR_LOOKING * (keep - self.spent))
+        transport.explore(0.0, 0.0, _FOR_LOOKING * (keep - self.spent))
         best: Choice | None = None
         slower = math.inf
         for _ in range(_TRIES):
@@ -233,3 +244,9 @@ class Chooser:
                 f"{self.spent + least:.1f}; ask for more"
             )
         return best
+
+
+def _rest(squared: NDArray, deviation: NDArray, wanted: float) -> NDArray[np.float64]:
+    """(lights,) what transport leaves of the squared error, with something kept free for what is not known well."""
+    free = 1.0 - np.minimum(_MODELS_OFF + _SAFE * deviation * squared / wanted**2, _MOST_FREE)
+    return np.asarray((free * wanted) ** 2 - squared)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,24 +12,34 @@ from numpy.typing import NDArray
 
 from slepian_prt.budget.transport import Look
 from slepian_prt.budget.yardstick import Yardstick
+from slepian_prt.compression.clusters import Clusters
 from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.light_prior import LightPrior
 from slepian_prt.compression.pilot import pilot_vertices
-from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.settings import Settings
 from slepian_prt.compression.store import MemoryStore
-from slepian_prt.compression.work import Trial, Work
+from slepian_prt.compression.work import Start, Trial, Work
+from slepian_prt.scene.meshes import morton
 from slepian_prt.transport.transfer import Ready
 
-# Vertices in the caps that are coded on trial: at least so many, and this part of all.
-_TRIED = 2000
-_PART_TRIED = 0.04
+# Caps that are coded on trial, and so many neighbouring vertices of each at most: caps differ more from each other than
+# within.
+_TRIED, _OF_EACH = 24, 250
+
+# Transport beside it reaches this degree, for the part of its error that is the bandlimit's.
+_BESIDE = 30
 
 # How often all caps are coded until the step is right, on average.
 _PASSES = 1.7
 
-# A tolerance is tried again if it was off by more than this.
-_CLOSE = 0.04
+# A tolerance that is off by more than this factor is tried again; one that is less off is changed by a little less.
+_CLOSE = 1.25
+_SAFE = 0.985
+_TRIALS = 4
+_FINEST, _COARSEST = 1e-5, 0.9
+
+# Coding is not counted on to mend more than it spoils.
+_LEAST_ADDED = 0.1
 
 Prior = Callable[[int], LightPrior | None]
 
@@ -87,9 +98,12 @@ class CodingPilot:
         toward_view = look.transfer is not None and look.transfer.toward_view
         settings = replace(settings, tolerance=0.05, light_prior=prior(look.bandlimit))
         self._work = Work(settings, mesh, grouping, look.bandlimit, ready.job.seed, toward_view=toward_view)
-        self._caps = self._work.some_caps(max(_TRIED, round(_PART_TRIED * self._count)))
-        self._vertices = np.sort(np.concatenate([grouping.clusters.members[c] for c in self._caps]))
+        sizes = grouping.clusters.sizes
+        self._caps = np.random.default_rng(ready.job.seed).permutation(np.flatnonzero(sizes))[:_TRIED].tolist()
+        self._parts = _neighbours(ready.scene.traced_positions, grouping.clusters, self._caps)
+        self._vertices = np.sort(np.concatenate([self._parts.members[c] for c in self._caps]))
         of_bases = pilot_vertices(grouping.clusters, grouping.axes, ready.job.seed)
+        self._apart: NDArray[np.float32] | None = None  # from other transport
         if look.transfer is not None:
             vectors = look.transfer.vectors
             of_bases_vectors, self._vectors = vectors[of_bases], vectors[self._vertices]
@@ -97,21 +111,40 @@ class CodingPilot:
             assert look.source is not None
             found = look.source.of(np.concatenate([of_bases, self._vertices]))[0][:, None, :]
             of_bases_vectors, self._vectors = found[: of_bases.size], found[of_bases.size :]
+            beside = look.source.other(ready.job.seed + 1, max(look.bandlimit, min(2 * look.bandlimit + 4, _BESIDE)))
+            self._apart = -beside.of(self._vertices)[0][:, None, :]
+            self._apart[:, :, : self._vectors.shape[2]] += self._vectors
         self._work.learn(lambda _: of_bases_vectors)
         self.seconds = time.perf_counter() - begin
 
     def within(self, squared: NDArray) -> Coded:
-        """The coarsest tolerance whose loss is at most so much, (lights,) squared relative errors."""
-        whole = self._yardstick.of_coding(Expectation(self._work.energies, self._work.energies))
-        tolerance = float(np.sqrt(np.min(squared / np.maximum(whole, 1e-300))))
-        for _ in range(3):
-            tolerance = min(max(tolerance, 1e-5), 0.9)
+        """The coarsest tolerance that adds at most so much, (lights,), to the squared relative error of transport."""
+        # The error of relit radiance is about the tolerance, which is that under light of such a spectrum.
+        tolerance = float(np.sqrt(np.min(squared)))
+        power, before = 1.0, None
+        for _ in range(_TRIALS):
+            tolerance = min(max(tolerance, _FINEST), _COARSEST)
             found = self._tried(tolerance)
-            off = float(np.sqrt(np.min(squared / np.maximum(found.squared, 1e-300))))
-            if 1.0 <= off <= 1.0 + 2.0 * _CLOSE or (tolerance >= 0.9 and off >= 1.0):
+            room = _SAFE * float(np.sqrt(np.min(squared / np.maximum(found.squared, 1e-300))))
+            if before is not None and before.tolerance != tolerance:
+                grown = 0.5 * math.log(max(np.max(found.squared / np.maximum(before.squared, 1e-300)), 1e-300))
+                power = min(max(grown / math.log(tolerance / before.tolerance), 0.5), 3.0)
+            change = room ** (1.0 / power)
+            at_limit = (tolerance >= _COARSEST and change >= 1.0) or (tolerance <= _FINEST and change <= 1.0)
+            if at_limit or 1.0 / _CLOSE <= change <= _CLOSE:
                 break
-            tolerance *= min(off, 3.0) * (1.0 - 0.5 * _CLOSE)
-        return found
+            before, tolerance = found, tolerance * min(max(change, 0.1), 3.0)
+        if at_limit:
+            return found
+        # Near enough to know what another tolerance gives without trying it.
+        change = min(max(change, 1.0 / _CLOSE), _CLOSE)
+        work = found.work.asked(found.tolerance * change)
+        assert found.work.start is not None
+        tuning = found.work.start.tuning
+        work.start = Start(replace(tuning, step=tuning.step * change))
+        return replace(
+            found, work=work, tolerance=found.tolerance * change, squared=found.squared * change ** (2 * power)
+        )
 
     def _tried(self, tolerance: float) -> Coded:
         begin = time.perf_counter()
@@ -123,13 +156,42 @@ class CodingPilot:
             projected = time.perf_counter() - begin
             if not work.widened(store, {}):
                 break
-        trial: Trial = work.trial(store, self._caps)
+        trial: Trial = work.of_clusters(self._parts).trial(store, self._caps)
         work.start = trial.start
         ratio = self._count / self._vertices.size
         return Coded(
             work,
             tolerance,
-            self._yardstick.of_coding(trial.expected),
+            self._added(work, trial),
             trial.bytes + work.overhead / self._count,
             ratio * (0.5 * projected + trial.reading + _PASSES * trial.coding + trial.decoding),
         )
+
+    def _added(self, work: Work, trial: Trial) -> NDArray[np.float64]:
+        """(lights,) what coding adds to the squared error of transport.
+
+        That is less than its own square: what is rounded away is noise of few rays in part, and is alike to what the
+        bandlimit leaves out. So the product of both errors is negative. It shows in the product with the difference
+        from transport of other rays and of more degrees, whose noise is independent.
+        """
+        found = self._yardstick.of_coding(work, trial)
+        if self._apart is None:
+            return found
+        off = np.zeros_like(self._apart)
+        for c, coefficients in zip(self._caps, trial.decoded, strict=True):
+            rows = np.searchsorted(self._vertices, self._parts.members[c])
+            vectors = work.of_clusters(self._parts).reconstructed(c, coefficients)
+            off[rows, :, : vectors.shape[2]] = vectors - self._vectors[rows]
+        own = self._yardstick.product(off, off)
+        both = self._yardstick.product(off, self._apart)
+        return np.asarray(found * np.clip(1.0 + 2.0 * both / np.maximum(own, 1e-300), _LEAST_ADDED, 1.0))
+
+
+def _neighbours(positions: NDArray, clusters: Clusters, numbers: Sequence[int]) -> Clusters:
+    """Caps with no more vertices than are tried, which are near each other."""
+    members = list(clusters.members)
+    for c in numbers:
+        along = members[c][np.argsort(morton(positions[members[c]]), kind="stable")]
+        begin = max(0, (along.size - _OF_EACH) // 2)
+        members[c] = np.sort(along[begin : begin + _OF_EACH])
+    return clusters.thinned(members)

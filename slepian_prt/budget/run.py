@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from slepian_prt.budget.choices import Choice, Chooser
 from slepian_prt.budget.coding import CodingPilot
 from slepian_prt.budget.goal import Goal
-from slepian_prt.budget.transport import BANDLIMITS, SAMPLES, Look, TransportPilot, pilot_vertices
+from slepian_prt.budget.transport import (
+    BANDLIMITS,
+    LARGE_PILOT,
+    PILOT,
+    SAMPLES,
+    SMALL_ERROR,
+    Look,
+    TransportPilot,
+    pilot_vertices,
+)
 from slepian_prt.budget.yardstick import MapYardstick, SpectrumYardstick, Yardstick
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping, grouped, surveyed
@@ -27,7 +36,7 @@ from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import Job, Ready
 
 # Noise of references: this part of the error asked for, and without one.
-_NOISE_PART = 0.25
+_NOISE_PART = 0.35
 _USUAL_NOISE = 0.01
 
 # Reference of light that only has a spectrum: rays and bandlimit, the latter for light that falls with the degree.
@@ -38,6 +47,10 @@ _FALLING_BANDLIMIT = 20
 # If the verification finds more error than was asked for, this often all is done once more, aimed lower.
 _REPEATS = 1
 _AIMED_LOWER = 0.95
+
+
+# Coefficients that are kept as they will be decoded, so that the verification need not decode them.
+_KEPT = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -206,7 +219,8 @@ class _Task:
 
     def chooser(self, started: float, repeat: int) -> Chooser:
         """With a pilot of its own."""
-        chosen, held_out = pilot_vertices(self.ready, self.ready.job.seed + repeat)
+        size = LARGE_PILOT if (self.goal.error or 1.0) <= SMALL_ERROR else PILOT
+        chosen, held_out = pilot_vertices(self.ready, self.ready.job.seed + repeat, size)
         self._tell("reference of the pilot")
         both = self._measure(np.concatenate([chosen, held_out]))
         self.yardstick, self.held_out = both.part(slice(chosen.size)), both.part(slice(chosen.size, None))
@@ -254,6 +268,8 @@ class _Task:
         if chosen.look.transfer is not None:
             return compressed(chosen.look.transfer, chosen.coded.work, self._tell, time.perf_counter())
         assert chosen.look.source is not None
+        work = chosen.coded.work
+        work.keeps = work.bases[0].count * len(ready.scene.mesh.positions) <= _KEPT
         return streamed(ready, chosen.look.source, chosen.coded.work, advance, self._tell)
 
     def verified(self, packed: CompressedTransfer) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

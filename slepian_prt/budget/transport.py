@@ -25,8 +25,12 @@ BANDLIMITS = (*range(1, 11), 12, 15, 20, 25, 30, 35, 40, 45, 50)
 # Bandlimits that are looked up to, one after the other.
 _LOOKS = (10, 20, 30, 50)
 
-# Vertices to choose by; as many more are held out for the verification, and both are timed.
-PILOT = 2048
+# Vertices to choose by, more for small errors, which few vertices make most of and which take long anyway; as many are
+# held out for the verification, and both are timed.
+PILOT, LARGE_PILOT, SMALL_ERROR = 2048, 4096, 0.03
+
+# A look that takes more than this part of a run that is good enough is not taken.
+_SPARED = 0.12
 
 # Largest table of what triangles of a net integrate to, in bytes.
 _LARGEST_TABLE = 1.5e9
@@ -37,6 +41,8 @@ _FALLS = 1.5
 # Microseconds for a vertex with s rays on n nodes and M harmonics, α s + β M + γ n M, and for the tables of a net,
 # δ n M: fitted on two scans and two cores. Only ratios matter: what was timed here scales them.
 _ALPHA, _BETA, _GAMMA, _DELTA = 0.083, 0.024, 3.4e-5, 3.1
+# The same for compression of a vertex, which grows with M too, if tolerances are about as fine as transport is.
+_CODING = 0.29
 
 # Vertices one by one from all over a mesh share less of the tracer's caches than neighbours do.
 _SCATTERED = 0.88
@@ -76,11 +82,11 @@ class Look:
         return replace(self, bandlimit=bandlimit, error=error, transfer=transfer)
 
 
-def pilot_vertices(ready: Ready, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def pilot_vertices(ready: Ready, seed: int, size: int = PILOT) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Vertices to choose by and others to verify on: every n-th along the mesh, the two in turns."""
     receivers = np.flatnonzero(ready.scene.mesh.receivers)
     order = receivers[np.argsort(morton(ready.scene.traced_positions[receivers]), kind="stable")]
-    count = min(2 * PILOT, order.size)
+    count = min(2 * size, order.size)
     offset = np.random.default_rng(seed).random()
     chosen = order[((np.arange(count) + offset) * (order.size / count)).astype(np.int64)]
     if count == 1:
@@ -218,31 +224,59 @@ class TransportPilot:
 
     # --- Searching ---------------------------------------------------------------------------------------------------
 
-    def explore(self, target: float, seconds: float = math.inf) -> None:
-        """Look until a combination is known whose error leaves room for compression, or none can be.
+    def rough(self, samples: int, bandlimit: int) -> float:
+        """Seconds of transport and compression of the whole mesh, roughly."""
+        coding = 1e-6 * _CODING * num_coefficients(bandlimit) * len(self.ready.scene.mesh.positions)
+        return self.seconds(samples, bandlimit) + coding
 
-        ``target`` is that error; nothing is looked at that would take more than ``seconds`` in the whole run.
+    def explore(self, target: float, good: float, seconds: float = math.inf) -> None:
+        """Look until a combination is known whose error is at most ``target``, or none can be.
+
+        If there is one that is ``good``, looks that are dear beside it are spared. Nothing is looked at that would take
+        more than ``seconds`` in the whole run.
         """
         lowest = self._first_bandlimit()
         for samples in self.samples[:3:2] if self.ready.by_blocks else self.samples[:1]:
-            self.look(samples, lowest)
+            if samples not in self._looks:
+                self.look(samples, lowest)
         while not self.feasible(target, seconds):
-            bandlimit = max(look.bandlimit for look in self._looks.values())
-            most = self._finest.samples
-            higher = [l for l in (*_LOOKS, *self.bandlimits[-1:]) if bandlimit < l <= self.bandlimits[-1]]
-            more = [s for s in self.samples if s >= 4 * most][:1]
-            noise = self.noise(most)
-            left_out = np.maximum(self.squared(most, bandlimit) - noise, 0.0)
-            by_noise = len(self._looks) == 1 or bool(np.max(noise) > np.max(left_out))
-            moves = [(s, bandlimit) for s in more] + [(most, l) for l in higher]
-            moves = [m for m in moves if self.fits(*m) and self.seconds(*m) <= seconds]
-            if not moves:
+            move = self._next(seconds)
+            known = [self.rough(*c) for c in self.feasible(good, seconds)]
+            if move is None or (known and self._cost(*move) > _SPARED * min(known)):
                 return
-            # What is worse is mended first, if it can be.
-            self.look(*min(moves, key=lambda m: (m[0] > most) != by_noise))
+            self.look(*move)
+
+    def _next(self, seconds: float) -> tuple[int, int] | None:
+        """What to look at next: more rays or more degrees, whichever matters more."""
+        bandlimit = max(look.bandlimit for look in self._looks.values())
+        most = self._finest.samples
+        higher = [l for l in (*_LOOKS, self.bandlimits[-1]) if bandlimit < l <= self.bandlimits[-1]][:1]
+        more = [s for s in self.samples if s >= 4 * most][:1]
+        noise = self.noise(most)
+        left_out = np.maximum(self.squared(most, bandlimit) - noise, 0.0)
+        by_noise = len(self._looks) == 1 or bool(np.max(noise) > np.max(left_out))
+        moves = [(s, bandlimit) for s in more] + [(most, l) for l in higher]
+        moves = [m for m in moves if self.fits(*m) and self.seconds(*m) <= seconds]
+        # What is worse is mended first, if it can be.
+        return min(moves, key=lambda m: (m[0] > most) != by_noise, default=None)
+
+    def _cost(self, samples: int, bandlimit: int) -> float:
+        """Seconds to look."""
+        if not self.ready.by_blocks:
+            return self.seconds(samples, bandlimit)
+        nodes, size = self.ready.survey.nodes(samples), num_coefficients(bandlimit)
+        tables = 1e-6 * _DELTA * nodes * size
+        part = min(1.0, self._timed.size / len(self.ready.scene.mesh.positions))
+        return self._pace * (tables + part * self._model(samples, bandlimit))
 
     def _first_bandlimit(self) -> int:
         return min(max(_LOOKS[0], self.bandlimits[0]), self.bandlimits[-1])
+
+    def deviation(self, samples: int, bandlimit: int) -> NDArray[np.float64]:
+        """(lights,) relative standard errors of the error, as of the look that is nearest."""
+        reaching = [look for look in self._looks.values() if look.bandlimit >= bandlimit] or [self._finest]
+        nearest = min(reaching, key=lambda look: abs(math.log(look.samples / samples)))
+        return nearest.error.deviation[min(bandlimit, nearest.bandlimit)]
 
     def feasible(self, target: float, seconds: float = math.inf) -> list[tuple[int, int]]:
         """Combinations (rays, bandlimit) whose error is foreseen to be at most ``target`` under every light."""

@@ -15,11 +15,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.light_prior import LightPrior, light_power
-from slepian_prt.compression.prediction import Expectation
+from slepian_prt.compression.light_prior import LightPrior
+from slepian_prt.compression.work import Trial, Work
 from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
 from slepian_prt.scene.environments import Environment, project_environment
-from slepian_prt.sphere.harmonics import degrees, real_sh
+from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
 from slepian_prt.transport.transfer import LARGEST_BANDLIMIT, Ready
 
 # References per vertex take at most this many samples.
@@ -68,8 +68,13 @@ class Yardstick(Protocol):
         """Of transfer vectors (n, channels, (L+1)²) at the vertices, cut at every bandlimit."""
         ...
 
-    def of_coding(self, expected: Expectation) -> NDArray[np.float64]:
-        """(lights,) squared relative errors that the loss of a compression is expected to make."""
+    def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+        """(lights,) mean products of the radiance of two sets of vectors (n, channels, (L+1)²) at any vertices, over
+        the mean square of the reference."""
+        ...
+
+    def of_coding(self, work: Work, trial: Trial) -> NDArray[np.float64]:
+        """(lights,) squared relative errors that compression is expected to make, from coding some caps."""
         ...
 
 
@@ -143,16 +148,26 @@ class MapYardstick:
             deviation.append(one.deviation[:, 0])
         return Error(np.stack(squared, axis=1), np.stack(deviation, axis=1))
 
-    def of_coding(self, expected: Expectation) -> NDArray[np.float64]:
-        bandlimit = expected.lost.size - 1
+    def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         found = []
-        for lighting, reference in zip(self._lighting, self.references, strict=True):
-            power = sum(
-                light_power(lighting[c, : (bandlimit + 1) ** 2]) * float(np.mean(self.albedo[:, c] ** 2))
-                for c in range(3)
-            )
-            scale = float(np.mean(np.sum(reference.radiance.astype(np.float64) ** 2, axis=1)))
-            found.append(float(power @ expected.lost) / scale if scale > 0.0 else 0.0)
+        for lighting, scale in zip(self._lighting, self._scales, strict=True):
+            light = lighting[:, : first.shape[2]]
+            a, b = (np.einsum("ncm,cm->nc", _channels(vectors), light) for vectors in (first, second))
+            mean = float(np.mean(a * b, axis=0) @ np.mean(self.albedo**2, axis=0))
+            found.append(mean / scale if scale > 0.0 else 0.0)
+        return np.array(found)
+
+    @cached_property
+    def _scales(self) -> list[float]:
+        """Mean squares of the references."""
+        return [float(np.mean(np.sum(r.radiance.astype(np.float64) ** 2, axis=1))) for r in self.references]
+
+    def of_coding(self, work: Work, trial: Trial) -> NDArray[np.float64]:
+        found = []
+        size = num_coefficients(work.bandlimit)
+        for lighting, scale in zip(self._lighting, self._scales, strict=True):
+            squares = work.under(trial.errors, trial.missed, lighting[:, :size]) * np.mean(self.albedo**2, axis=0)
+            found.append(float(squares.sum()) / scale if scale > 0.0 else 0.0)
         return np.array(found)
 
 
@@ -225,10 +240,18 @@ class SpectrumYardstick:
         squares = np.concatenate([squares, np.repeat(squares[-1:], bandlimit - held, axis=0)])
         return _error(squares, whole, np.full(bandlimit + 1, float(noise.sum()) / whole if whole > 0.0 else 0.0))
 
-    def of_coding(self, expected: Expectation) -> NDArray[np.float64]:
+    def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         _, _, whole = self._degrees
-        held = min(expected.lost.size, self.power.size)
-        return np.array([float(self.power[:held] @ expected.lost[:held]) / whole if whole > 0.0 else 0.0])
+        size = min(first.shape[2], self.power.size**2)
+        products = np.mean(first[:, :, :size].astype(np.float64) * second[:, :, :size], axis=(0, 1))
+        by_degree = np.bincount(degrees(math.isqrt(size) - 1), products)
+        return np.array([float(self.power[: by_degree.size] @ by_degree) / whole if whole > 0.0 else 0.0])
+
+    def of_coding(self, work: Work, trial: Trial) -> NDArray[np.float64]:
+        _, _, whole = self._degrees
+        lost = trial.expected.lost
+        held = min(lost.size, self.power.size)
+        return np.array([float(self.power[:held] @ lost[:held]) / whole if whole > 0.0 else 0.0])
 
 
 def _error(squares: NDArray, scale: float, noise: NDArray) -> Error:

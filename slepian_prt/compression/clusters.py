@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import operator
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -60,6 +61,13 @@ class Clusters:
     def sizes(self) -> NDArray[np.int64]:
         """Number of vertices of each cluster."""
         return np.bincount(self.index, minlength=len(self.caps))
+
+    def thinned(self, members: Sequence[NDArray[np.int64]]) -> Clusters:
+        """The same with some of the members of each cluster only."""
+        found = replace(self)
+        found.__dict__["members"] = list(members)
+        found.__dict__["sizes"] = np.array([part.size for part in members])
+        return found
 
 
 def spread(center: NDArray, axes: NDArray) -> float:

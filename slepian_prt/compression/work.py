@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from slepian_prt.compression import codec, truncation
 from slepian_prt.compression.bases import Candidate, Frame, LinearBasis, Problem, candidates
 from slepian_prt.compression.caps import Caps
-from slepian_prt.compression.clusters import spread
+from slepian_prt.compression.clusters import Clusters, spread
 from slepian_prt.compression.compressed import Coded, frames_of
 from slepian_prt.compression.grouping import Grouping
-from slepian_prt.compression.pilot import Pilot, decorrelated, learn, pilot_vertices
+from slepian_prt.compression.light_prior import light_power
+from slepian_prt.compression.pilot import Pilot, channel_mixing, decorrelated, learn, pilot_vertices
 from slepian_prt.compression.prediction import Expectation, by_degree
 from slepian_prt.compression.refinement import refine
 from slepian_prt.compression.settings import Settings
@@ -74,6 +75,12 @@ class Trial:
         For coding all of them.
     expected : Expectation
         Of a vector, by degree, as measured on these caps.
+    missed : (L+1,)
+        The part of it that the bases miss.
+    errors : (K channels, K channels)
+        Mean products of the coefficients' errors.
+    decoded : list of (n, K channels)
+        The coefficients as they will be decoded, for each cap in the order of its members.
     bytes : float
         Of a vertex, in these caps.
     reading, coding, decoding : float
@@ -82,6 +89,9 @@ class Trial:
 
     start: Start
     expected: Expectation
+    missed: NDArray[np.float64]
+    errors: NDArray[np.float64]
+    decoded: list[NDArray[np.float32]]
     bytes: float
     reading: float
     coding: float
@@ -226,6 +236,12 @@ class Work:
         other.use(self._found, self.channels)
         return other
 
+    def of_clusters(self, clusters: Clusters) -> Work:
+        """The same on some members of the clusters only."""
+        other = copy.copy(self)
+        other.clusters = clusters
+        return other
+
     def narrowed(self, finer: Work, store: MemoryStore) -> MemoryStore | None:
         """What another of the same, with more functions, has projected, cut to those of this one; None if it cannot be.
 
@@ -247,11 +263,6 @@ class Work:
             kept = np.ascontiguousarray(columns[:, : narrow * self.channels]).ravel()
             found.add(number, block._replace(figures=figures, coefficients=kept))
         return found
-
-    @property
-    def energies(self) -> NDArray[np.float64]:
-        """(L+1,) mean energy of a transfer vector in each degree, as the pilot has it."""
-        return self._expected(self._lost()).total
 
     @property
     def overhead(self) -> float:
@@ -381,7 +392,7 @@ class Work:
             "bases": self.bases,
             "coded": Coded(tuning, tuple(cap.words for cap in encoded)),
             "mean": None if self.pilot is None else self.pilot.mean,
-            "expected": self._measured(everything, encoded, total, missed),
+            "expected": self._measured(everything, encoded, total, missed)[0],
             "terms": float(used @ self.clusters.sizes / self.clusters.sizes.sum()),
         }
 
@@ -398,16 +409,60 @@ class Work:
         for c, cap in zip(numbers, encoded, strict=True):
             self._encode(caps, c, tuning, cap.turned)
         coded = time.perf_counter()
-        for c, cap in zip(numbers, encoded, strict=True):
+        decoded = [
             codec.decode_cap(cap.words, self.bases[c].count * self.channels, caps.along(c)[1], tuning)
+            for c, cap in zip(numbers, encoded, strict=True)
+        ]
+        read_back = time.perf_counter()
         return Trial(
             Start(tuning),
-            self._measured(numbers, encoded, total, missed),
+            *self._measured(numbers, encoded, total, missed),
+            sum(cap.errors for cap in encoded) / self.clusters.sizes[list(numbers)].sum(),
+            [self._of_members(caps, c, cap, tuning.step) for c, cap in zip(numbers, decoded, strict=True)],
             4.0 * sum(cap.words.size for cap in encoded) / self.clusters.sizes[list(numbers)].sum(),
             read - begin,
             coded - tuned,
-            time.perf_counter() - coded,
+            read_back - coded,
         )
+
+    def _of_members(self, caps: Caps, c: int, decoded: codec.DecodedCap, step: float) -> NDArray[np.float32]:
+        """(n, K channels) coefficients of a cap in the order of its members."""
+        values = decoded.multiples * (step / codec.PARTS)
+        if decoded.axes is not None:
+            values = values @ decoded.axes
+        found = np.empty(values.shape, dtype=np.float32)
+        found[np.searchsorted(self.clusters.members[c], caps.along(c)[1].order)] = values
+        return found
+
+    def reconstructed(self, c: int, coefficients: NDArray) -> NDArray[np.float32]:
+        """(n, channels, (L+1)²) vectors of a cap, channels decorrelated."""
+        vectors = self.bases[c].reconstruct(coefficients, self.channels)
+        if self.pilot is not None and self.pilot.mean is not None:
+            kind = int(self.clusters.kinds[c])
+            vectors[:, 0] += self.pilot.mean.vectors(self._normals[self.clusters.members[c]], kind)
+        return vectors
+
+    def under(self, errors: NDArray, missed: NDArray, lighting: NDArray) -> NDArray[np.float64]:
+        """(3,) mean squared errors of radiance under one light, of coefficients that are off alike in all caps.
+
+        Parameters
+        ----------
+        errors : (K channels, K channels)
+            Mean products of the coefficients' errors; what caps have in common is their functions, not how they stand.
+        missed : (L+1,)
+            What the bases miss, by degree: averaged over the rotations of the light.
+        lighting : (3, (L+1)²)
+        """
+        count, mixing = self.bases[0].count, channel_mixing(self.channels).astype(np.float64)
+        products = errors.reshape(count, self.channels, count, self.channels)
+        found = missed @ np.array([light_power(light) for light in lighting]).T
+        for basis, size in zip(self.bases, self.clusters.sizes, strict=True):
+            along = basis.synthesis @ lighting.T  # (K, 3)
+            for c in range(3):
+                mixed = mixing[:, c if self.channels == 3 else 0]
+                of_channel = np.einsum("kdle,d,e->kl", products, mixed, mixed)
+                found[c] += size / self.clusters.sizes.sum() * float(along[:, c] @ of_channel @ along[:, c])
+        return found
 
     def _distortion(self, total: float, missed: float) -> float:
         """What rounding may change of vectors whose squares sum to ``total``, of which the bases miss ``missed``."""
@@ -417,8 +472,8 @@ class Work:
 
     def _measured(
         self, numbers: Sequence[int], encoded: list[codec.EncodedCap], total: float, missed: float
-    ) -> Expectation:
-        """What coding some caps lost, by degree."""
+    ) -> tuple[Expectation, NDArray[np.float64]]:
+        """What coding some caps lost, by degree, and the part of it that the bases miss."""
         lost, norm = np.zeros(self.bandlimit + 1), self.clusters.sizes[list(numbers)].sum() * self.channels
         for c, cap in zip(numbers, encoded, strict=True):
             basis = self.bases[c]
@@ -430,7 +485,7 @@ class Work:
         foreseen, whole = float(power @ expected.lost), float(power @ expected.total)
         missing = expected.lost * (missed / norm / foreseen if foreseen > 0.0 else 0.0)
         everything = expected.total * (total / norm / whole if whole > 0.0 else 1.0)
-        return Expectation(lost + missing, everything)
+        return Expectation(lost + missing, everything), missing
 
     def _encoded(
         self, caps: Caps, numbers: Sequence[int], wanted: float

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import matplotlib
 
 matplotlib.use("Agg")
@@ -19,11 +18,12 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from slepian_prt.compression.archive import write_all
-from slepian_prt.evaluation import plots
+from slepian_prt.evaluation import pages, plots, sweep_report
 from slepian_prt.evaluation.compare import Comparison, Method, View
 from slepian_prt.evaluation.errors import error_map
-from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE
-from slepian_prt.evaluation.plots import percent, seconds
+from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE, Rung
+from slepian_prt.evaluation.plots import percent
+from slepian_prt.evaluation.sweep import Sweep
 from slepian_prt.relighting.picture import Picture, exposure, to_srgb
 
 # Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
@@ -68,19 +68,20 @@ _GROUPED_BY = {
 _ERROR_SCALE = 0.25  # the end of the colour scale of error maps, relative to the mean luminance
 
 
-def write_report(comparison: Comparison, folder: str | Path, command: str) -> Path:
+def write_report(comparison: Comparison, folder: str | Path, command: str, sweep: Sweep | None = None) -> Path:
     """Write report.html, results.json and the figures; return the path of the report.
 
-    Everything is made before the first byte is written.
+    Everything is made before the first byte is written. The report shows the Pareto fronts of a ``sweep`` too.
     """
     folder = Path(folder)
     figures = {
         "transfer_error": _error_plot(comparison, "terms"),
         "relit_error": _relit_plot(comparison),
         "error_by_bytes": _error_plot(comparison, "bytes_per_vertex"),
+        "ladder": ladder_plot(comparison.ladder),
     }
     pictures = [_view_pictures(comparison, view) for view in comparison.views]
-    html = _render(comparison, figures, pictures, command)
+    html = _render(comparison, figures, pictures, command, sweep)
     files = {f"{name}.png": content for name, content in figures.items()}
     for view in pictures:
         for panel in view["panels"]:
@@ -249,25 +250,56 @@ def _relit_plot(comparison: Comparison) -> bytes:
     return plots.finish(figure)
 
 
+def ladder_plot(rungs: Sequence[Rung]) -> bytes:
+    """The errors of all steps under each environment, one below the other, with the noise that they are known to."""
+    names = list(dict.fromkeys(rung.environment for rung in rungs))
+    stages = list(dict.fromkeys(rung.stage for rung in rungs if rung.error > 0.0))
+    figure, axes = plots.figure(len(names))
+    figure.set_size_inches(1.6 + 4.2 * len(names), 1.4 + 0.45 * len(stages))
+    kinds = ((IN_PICTURE, "#D55E00", "o", -0.12), (AT_VERTICES, "#0072B2", "s", 0.12))
+    for axis, name in zip(axes[0], names, strict=True):
+        for against, colour, marker, shift in kinds:
+            seen = [r for r in rungs if r.environment == name and r.against == against and r.error > 0.0]
+            places = [stages.index(r.stage) + shift for r in seen]
+            axis.plot([r.error for r in seen], places, marker, color=colour, markersize=7, label=f"against {against}")
+            for rung, place in zip(seen, places, strict=True):
+                if rung.noise > 0.0:
+                    axis.plot([rung.noise, rung.error], [place, place], "-", color=colour, linewidth=1.0, alpha=0.6)
+        axis.set_xscale("log")
+        axis.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %"))
+        axis.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
+        axis.set_yticks(range(len(stages)), stages if axis is axes[0, 0] else [""] * len(stages))
+        axis.set_ylim(len(stages) - 0.5, -0.5)
+        axis.set_xlabel(f"relative RMS error under {name}")
+        axis.grid(True, axis="x", which="major", color="#dddddd", linewidth=0.6)
+        axis.set_axisbelow(True)
+    figure.tight_layout()
+    axes[0, 0].legend(frameon=False, fontsize=10, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    return plots.finish(figure)
+
+
 # --- HTML ------------------------------------------------------------------------------------------------------------
 
 
-def _render(comparison: Comparison, figures: dict[str, bytes], pictures: list[dict[str, Any]], command: str) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("slepian_prt", "evaluation"), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["uri"] = lambda png: "data:image/png;base64," + base64.b64encode(png).decode()
-    environment.filters["percent"] = percent
-    environment.filters["seconds"] = seconds
+def _render(
+    comparison: Comparison,
+    figures: dict[str, bytes],
+    pictures: list[dict[str, Any]],
+    command: str,
+    sweep: Sweep | None,
+) -> str:
     results = comparison.results()
-    return environment.get_template("report.html.j2").render(
+    swept = {} if sweep is None else sweep_report.fronts(sweep)
+    return pages.template("report.html.j2").render(
+        **{name: value for name, value in swept.items() if name != "figures"},
         results=results,
         mean=lambda errors: float(np.mean(list(errors.values()))),
         findings=_findings(comparison),
         half_angles=[math.degrees(a) for a in comparison.half_angles],
         shown=comparison.shown_terms,
         grouped_by=_GROUPED_BY["view" if results["toward_camera"] else results["group_by"]],
-        figures=figures,
+        figures={**figures, **swept.get("figures", {})},
         pictures=pictures,
         descriptions=DESCRIPTIONS,
         error_scale=_ERROR_SCALE,

@@ -13,7 +13,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -151,6 +151,12 @@ class Point:
         """From the loaded and planned scene to the file."""
         return self.transport_seconds + self.compress_seconds
 
+    @classmethod
+    def from_dict(cls, found: dict[str, Any]) -> Point:
+        """From what `as_dict` gives."""
+        setting = Setting(**{part.name: found[part.name] for part in fields(Setting)})
+        return cls(setting, **{part.name: found[part.name] for part in fields(cls) if part.name != "setting"})
+
     def as_dict(self) -> dict[str, Any]:
         own = asdict(self)
         return {**own.pop("setting"), **own, "seconds": self.seconds}
@@ -171,6 +177,9 @@ class Sweep:
     shared : dict of str to float
         Seconds that all settings share: loading and planning the scene, compiling kernels, references.
     effects : tuple of Effect
+    command : str
+    machine : dict
+        What it ran on.
     """
 
     source: str
@@ -180,6 +189,35 @@ class Sweep:
     points: tuple[Point, ...]
     shared: dict[str, float]
     effects: tuple[Effect, ...]
+    command: str = ""
+    machine: dict[str, Any] = field(default_factory=lambda: machine())
+
+    @classmethod
+    def read(cls, path: str | Path) -> Sweep:
+        """A finished sweep from its sweep.json.
+
+        Raises
+        ------
+        UserError
+            The file is missing, or is not that of a sweep.
+        """
+        try:
+            found = json.loads(Path(path).read_text())
+            return cls(
+                found["scene"],
+                int(found["vertices"]),
+                tuple(found["environments"]),
+                found["reference_noise"],
+                tuple(Point.from_dict(point) for point in found["points"]),
+                found["shared_seconds"],
+                tuple(Effect(**effect) for effect in found["effects"]),
+                found["command"],
+                found["machine"],
+            )
+        except OSError as error:
+            raise UserError(f"{path}: {error.strerror or error}; name the sweep.json of a finished sweep") from None
+        except (ValueError, KeyError, TypeError, AttributeError):
+            raise UserError(f"{path}: is not the sweep.json of a finished sweep; run the sweep again") from None
 
     def results(self) -> dict[str, Any]:
         """What sweep.json holds."""
@@ -198,8 +236,9 @@ class Sweep:
             },
             "shared_seconds": self.shared,
             "effects": [effect.as_dict() for effect in self.effects],
-            "machine": machine(),
+            "machine": self.machine,
             "versions": versions(),
+            "command": self.command,
         }
 
 

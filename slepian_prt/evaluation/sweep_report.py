@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import io
 import json
@@ -10,11 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import matplotlib
+import numpy as np
 
 from slepian_prt.compression.archive import write_all
-from slepian_prt.evaluation import plots
+from slepian_prt.evaluation import pages, plots
 from slepian_prt.evaluation.sweep import Point, Sweep, findings, pareto
 
 _COSTS = {
@@ -25,12 +24,15 @@ _COSTS = {
 # The noise of a reference is drawn if it is at least this part of the smallest error; it is told in any case.
 _NEAR = 0.2
 
-# Colour (Okabe & Ito, safe for colour-blind readers) and marker by bandlimit, in order.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-_MARKERS = ("o", "s", "^", "D", "v", "P")
+# A marker for each bandlimit, in order; its colour, from light to dark, says the same.
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", "p", ">", "h", "*")
+
+# Of the front, settings are named that are better than the last one by this factor at least.
+_NAMED = 0.87
+_MOST_NAMED = 14
 
 
-def write_sweep(sweep: Sweep, folder: str | Path, command: str) -> Path:
+def write_sweep(sweep: Sweep, folder: str | Path) -> Path:
     """Write sweep.html, sweep.json, sweep.csv and the plots; return the path of the page.
 
     Raises
@@ -39,13 +41,11 @@ def write_sweep(sweep: Sweep, folder: str | Path, command: str) -> Path:
         The folder cannot be written.
     """
     folder = Path(folder)
-    figures = {
-        (name, cost): _plot(sweep, name, cost, title) for name in sweep.environments for cost, title in _COSTS.items()
-    }
-    files = {f"{name}_{cost}.png": content for (name, cost), content in figures.items()}
-    files["sweep.json"] = (json.dumps({**sweep.results(), "command": command}, indent=1) + "\n").encode()
+    shown = fronts(sweep)
+    files = {f"{name}_{cost}.png": content for (name, cost), content in shown["figures"].items()}
+    files["sweep.json"] = (json.dumps(sweep.results(), indent=1) + "\n").encode()
     files["sweep.csv"] = _csv(sweep).encode()
-    files["sweep.html"] = _page(sweep, figures, command).encode()
+    files["sweep.html"] = _page(sweep, shown).encode()
     write_all(folder, files)
     return folder / "sweep.html"
 
@@ -75,15 +75,16 @@ def _plot(sweep: Sweep, name: str, cost: str, title: str) -> bytes:
     figure, axes = plots.figure()
     axis = axes[0, 0]
     bandlimits = sorted({point.setting.bandlimit for point in sweep.points})
+    colours = matplotlib.colormaps["viridis_r"](np.linspace(0.15, 1.0, len(bandlimits)))
     for number, bandlimit in enumerate(bandlimits):
         chosen = [point for point in sweep.points if point.setting.bandlimit == bandlimit]
         axis.plot(
             [getattr(point, cost) for point in chosen],
             [point.error[name] for point in chosen],
             _MARKERS[number % len(_MARKERS)],
-            color=_COLOURS[number % len(_COLOURS)],
+            color=colours[number],
             label=f"L = {bandlimit}",
-            markersize=6,
+            markersize=5,
         )
     front = pareto(sweep.points, name, cost)
     axis.step(
@@ -104,12 +105,40 @@ def _plot(sweep: Sweep, name: str, cost: str, title: str) -> bytes:
     axis.set_xlabel(title)
     axis.set_ylabel(f"relative error under {name}")
     plots.decorate(axis)
-    for number, point in enumerate(front, start=1):
-        axis.annotate(str(number), (getattr(point, cost), point.error[name]), xytext=(4, 5), textcoords="offset points")
-    names = "\n".join(f"{number}  {_short(sweep, point)}" for number, point in enumerate(front, start=1))
-    axis.text(1.03, 0.55, names, transform=axis.transAxes, va="top", fontsize=9)
+    shown = _named(front, name)
+    for number, point in enumerate(shown, start=1):
+        place = (getattr(point, cost), point.error[name])
+        axis.plot(*place, "o", markersize=11, markerfacecolor="none", markeredgecolor="#222222", markeredgewidth=1.0)
+        axis.annotate(str(number), place, xytext=(6, 6), textcoords="offset points", fontsize=10)
     plots.legend(axis)
+    lines = [
+        f"{number}  {_short(sweep, point)}: {plots.percent(point.error[name])}, {_amount(point, cost)}"
+        for number, point in enumerate(shown, start=1)
+    ]
+    half = (len(lines) + 1) // 2
+    for column, part in enumerate((lines[:half], lines[half:])):
+        axis.text(0.62 * column, -0.2, "\n".join(part), transform=axis.transAxes, va="top", fontsize=9)
     return plots.finish(figure)
+
+
+def _named(front: Sequence[Point], name: str) -> list[Point]:
+    """Points of a front that are well apart, from the cheapest to the most exact."""
+    step = _NAMED
+    while True:
+        found: list[Point] = []
+        for point in front:
+            if not found or point.error[name] <= step * found[-1].error[name]:
+                found.append(point)
+        if front and found[-1] is not front[-1]:
+            found[-1 if len(found) > 1 else len(found) :] = [front[-1]]
+        if len(found) <= _MOST_NAMED:
+            return found
+        step *= 0.95
+
+
+def _amount(point: Point, cost: str) -> str:
+    """What a setting costs, for readers."""
+    return plots.seconds(point.seconds) if cost == "seconds" else f"{point.bytes_per_vertex:.2g} bytes"
 
 
 def _short(sweep: Sweep, point: Point) -> str:
@@ -127,23 +156,27 @@ def _short(sweep: Sweep, point: Point) -> str:
     return ", ".join(varied) or own.label
 
 
-def _page(sweep: Sweep, figures: dict[tuple[str, str], bytes], command: str) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("slepian_prt", "evaluation"), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["uri"] = lambda png: "data:image/png;base64," + base64.b64encode(png).decode()
-    environment.filters["percent"] = plots.percent
-    environment.filters["seconds"] = plots.seconds
-    cheapest = {name: _cheapest(sweep, name) for name in sweep.environments}
-    return environment.get_template("sweep.html.j2").render(
-        sweep=sweep,
+def fronts(sweep: Sweep) -> dict[str, Any]:
+    """What a page needs to show errors against time and bytes."""
+    return {
+        "sweep": sweep,
+        "sweep_command": sweep.command,
+        "figures": {
+            (name, cost): _plot(sweep, name, cost, title)
+            for name in sweep.environments
+            for cost, title in _COSTS.items()
+        },
+        "costs": _COSTS,
+        "cheapest": {name: _cheapest(sweep, name) for name in sweep.environments},
+    }
+
+
+def _page(sweep: Sweep, shown: dict[str, Any]) -> str:
+    return pages.template("sweep.html.j2").render(
+        **shown,
         results=sweep.results(),
-        figures=figures,
-        costs=_COSTS,
-        fronts={name: pareto(sweep.points, name, "seconds") for name in sweep.environments},
-        cheapest=cheapest,
         findings=findings(sweep),
-        command=command,
+        command=sweep.command,
         name=Path(sweep.source).name,
     )
 

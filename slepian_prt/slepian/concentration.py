@@ -25,6 +25,9 @@ from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 # Eigenvalues below this part of the largest are rounding; their eigenvectors are chosen by the second criterion.
 _NULL = 1e-28
 
+# Degree in θ, beyond 2LΘ, that a rule has to be exact to for products to be exact to rounding.
+_SMOOTH = 34.0
+
 
 @dataclass(frozen=True)
 class CapBasis:
@@ -241,9 +244,14 @@ def cap_moment_factors(
 ) -> list[NDArray[np.float64]]:
     """For each order m = 0..L a factor F_m, (r, L+1-m), with F_mᵀ F_m the block of C_U in the cap's frame."""
     last_order = bandlimit if last_order is None else last_order
-    nodes = cap_nodes(bandlimit + 1, half_angle)
+    # L + 1 nodes are exact. On small caps, products of two functions of degree L are smooth: as J₀(2Lθ), a polynomial
+    # in θ² of about half its degree in θ, which is 2LΘ and some more for the rounding.
+    count = bandlimit + 1
+    if isinstance(kernel, SecondMoment):
+        count = min(count, math.ceil((2.0 * bandlimit * half_angle + _SMOOTH) / 4.0))
+    nodes = cap_nodes(count, half_angle)
     # (1/|U|) ∫_U, with weights that stay right in the limit Θ = 0.
-    weights = 0.5 * cap_nodes(bandlimit + 1, math.pi).weights
+    weights = 0.5 * cap_nodes(count, math.pi).weights
     nodes = nodes._replace(weights=weights / (2.0 * math.pi))
     if isinstance(kernel, SecondMoment):
         if kernel.bandlimit != bandlimit:

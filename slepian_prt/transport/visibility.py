@@ -107,11 +107,17 @@ class DirectTransfer:
 
     def __init__(self, mi: Any, scene: Scene, bandlimit: int, nodes: int, shadowed: NDArray, seed: int) -> None:
         self.bandlimit = bandlimit
+        self._made_of = (mi, nodes, shadowed)
         self._scene = scene
         self._traced = np.zeros(len(scene.mesh.positions), dtype=bool)
         self._traced[shadowed] = True
         self._block = max(1, min(_RAYS_PER_BLOCK // nodes, _NUMBERS_PER_BLOCK // num_coefficients(bandlimit)))
         self._tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(nodes), seed) if shadowed.size else None
+
+    def other(self, seed: int, bandlimit: int) -> DirectTransfer:
+        """The same with other turns about the normals, so that its errors are independent, and another bandlimit."""
+        mi, nodes, shadowed = self._made_of
+        return DirectTransfer(mi, self._scene, bandlimit, nodes, shadowed, seed)
 
     @property
     def rays(self) -> int:

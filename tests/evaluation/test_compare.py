@@ -11,6 +11,7 @@ from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.errors import error_map, relative_rms
 from slepian_prt.evaluation.methods import METHODS
 from slepian_prt.evaluation.report import write_report
+from slepian_prt.evaluation.sweep import Point, Setting, Sweep
 from slepian_prt.relighting.picture import Picture
 from slepian_prt.scene.environments import make_environment
 from slepian_prt.transport.transfer import Job
@@ -96,6 +97,18 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     assert "entropy-coded" in html
     assert json.loads((tmp_path / "out" / "results.json").read_text())["vertices"] == 642
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.endswith(".part")]
+
+
+def test_report_shows_a_sweep(comparison, tmp_path):
+    setting = Setting(64, 5, 96, "adapted", 0.05)
+    points = (Point(setting, {"first": 0.1}, {"first": 0.1}, 2.0, 1.0, 0.0, 1.0, 0.1, 0.01),)
+    sweep = Sweep("ball.ply", 642, ("first",), {"first": 0.01}, points, {}, (), "slepian-prt sweep ball.ply")
+    alone = write_report(comparison, tmp_path / "alone", "command").read_text()
+    both = write_report(comparison, tmp_path / "both", "command", sweep).read_text()
+    assert "slepian-prt sweep</code>" in alone
+    assert "slepian-prt sweep ball.ply" in both
+    assert "Relative error under first against seconds" in both
+    assert both.count("data:image/png") == alone.count("data:image/png") + 2
 
 
 def test_relative_rms():

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import OpenEXR
@@ -13,7 +14,7 @@ import trimesh
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation import sweep as sweeping
 from slepian_prt.evaluation.sweep import Axes, Journal, Point, Setting, Sweep, findings, pareto
-from slepian_prt.evaluation.sweep_report import write_sweep
+from slepian_prt.evaluation.sweep_report import _named, write_sweep
 from slepian_prt.scene.environments import make_environment
 from slepian_prt.transport.transfer import Job
 from tests.conftest import bumpy
@@ -105,7 +106,7 @@ def test_what_does_not_help_is_said():
 
 
 def test_files(found, tmp_path):
-    page = write_sweep(found, tmp_path / "out", "slepian-prt sweep …")
+    page = write_sweep(replace(found, command="slepian-prt sweep …"), tmp_path / "out")
     assert sorted(p.name for p in page.parent.iterdir()) == [
         "sky_bytes_per_vertex.png", "sky_seconds.png", "sweep.csv", "sweep.html", "sweep.json",
     ]  # fmt: skip
@@ -119,6 +120,27 @@ def test_files(found, tmp_path):
     assert text.count("data:image/png;base64,") == 2
     assert "http" not in text.replace("http-equiv", "")
     assert "16 rays, L = 2, 8 caps, adapted, 0.3" in text
+    assert Sweep.read(page.parent / "sweep.json") == replace(found, command="slepian-prt sweep …")
+
+
+def test_what_is_no_finished_sweep(tmp_path):
+    with pytest.raises(UserError, match=r"name the sweep\.json of a finished sweep"):
+        Sweep.read(tmp_path / "sweep.json")
+    for content in ("", "[]", "{}", '{"scene": 1}'):
+        (tmp_path / "sweep.json").write_text(content)
+        with pytest.raises(UserError, match=r"is not the sweep\.json"):
+            Sweep.read(tmp_path / "sweep.json")
+
+
+def test_a_front_names_settings_that_are_apart():
+    points = [point(seconds=1.0 + i, error=0.5 * 0.98**i) for i in range(150)]
+    named = _named(pareto(points, "sky", "seconds"), "sky")
+    assert 5 < len(named) <= 14
+    assert named[0] is points[0]
+    assert named[-1] is points[-1]
+    errors = [p.error["sky"] for p in named]
+    assert all(b <= 0.9 * a for a, b in pairwise(errors[:-1]))
+    assert _named([points[0]], "sky") == [points[0]]
 
 
 def test_a_stopped_sweep_goes_on(folder, tmp_path):
