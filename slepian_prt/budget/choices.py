@@ -23,7 +23,7 @@ _LOOKING = 0.2
 _LEAST_FOR_CODING = 0.2
 
 # Standard errors of the pilot, and of the vertices held out, that are kept free; and what models may be off by.
-_SAFE = 2.3
+_SAFE, _LIKELY = 2.0, 0.4
 _MODELS_OFF = 0.03
 _MOST_FREE = 0.2
 
@@ -134,29 +134,31 @@ class Chooser:
 
     def _for_error(self, wanted: float) -> Choice:
         tried: set[tuple[int, int]] = set()
-        for good in (_GOOD, 0.0):
-            # Dear looks are spared if there is something good enough, unless that turns out to be none.
-            self._transport.explore(_PARTS[0] * wanted, good * wanted)
-            best = self._fastest(wanted, tried)
+        # Dear looks are spared if there is something good enough, unless that turns out to be none; and if nothing is
+        # safe, what is likely is better than nothing.
+        for part, good, safe in ((_PARTS[0], _GOOD, _SAFE), (_GOOD, 0.0, _SAFE), (max(_PARTS), 0.0, _LIKELY)):
+            self._transport.explore(part * wanted, good * wanted)
+            best = self._fastest(wanted, safe, tried)
             if best is not None:
                 return best
+            tried.clear()
         raise self._cannot(wanted)
 
-    def _fastest(self, wanted: float, tried: set[tuple[int, int]]) -> Choice | None:
-        """The fastest of some contenders, as many as it pays to look at."""
+    def _fastest(self, wanted: float, safe: float, tried: set[tuple[int, int]]) -> Choice | None:
+        """The fastest of some contenders, as many as it pays to look at; ``safe`` in standard errors."""
         transport = self._transport
         best: Choice | None = None
         for part in _PARTS:
             began = self.spent
             for _ in range(_TRIES):
-                left = [c for c in transport.feasible(part * wanted) if c not in tried and self._room(*c, wanted)]
+                left = [c for c in transport.feasible(part * wanted) if c not in tried and self._room(*c, wanted, safe)]
                 # Transport that takes as long as the best choice in all cannot lead to a better one.
                 left = [c for c in left if best is None or transport.seconds(*c) < 0.9 * best.seconds]
                 if not left:
                     break
                 fastest = min(left, key=lambda c: transport.rough(*c))
                 tried.add(fastest)
-                found = self._measured(*fastest, wanted)
+                found = self._measured(*fastest, wanted, safe)
                 if found is not None:
                     if best is None or found.seconds < best.seconds:
                         best = found
@@ -165,16 +167,16 @@ class Chooser:
                 break
         return best
 
-    def _measured(self, samples: int, bandlimit: int, wanted: float) -> Choice | None:
+    def _measured(self, samples: int, bandlimit: int, wanted: float, safe: float) -> Choice | None:
         """A contender with the coarsest tolerance that meets ``wanted``, or None if there is no room for it."""
         look = self._transport.look(samples, bandlimit)
-        rest = _rest(look.error.squared[bandlimit], look.error.deviation[bandlimit], wanted)
+        rest = _rest(look.error.squared[bandlimit], look.error.deviation[bandlimit], wanted, safe)
         return None if np.any(rest < (_LEAST_FOR_CODING * wanted) ** 2) else self._completed(look, rest)
 
-    def _room(self, samples: int, bandlimit: int, wanted: float) -> bool:
+    def _room(self, samples: int, bandlimit: int, wanted: float, safe: float) -> bool:
         """Whether transport is foreseen to leave room for compression."""
         transport = self._transport
-        rest = _rest(transport.squared(samples, bandlimit), transport.deviation(samples, bandlimit), wanted)
+        rest = _rest(transport.squared(samples, bandlimit), transport.deviation(samples, bandlimit), wanted, safe)
         return bool(np.all(rest >= (_LEAST_FOR_CODING * wanted) ** 2))
 
     def _completed(self, look: Look, rest: NDArray) -> Choice:
@@ -196,7 +198,7 @@ class Chooser:
         samples, bandlimit = min(combinations, key=lambda c: float(np.max(transport.squared(*c))))
         squared = transport.squared(samples, bandlimit)
         worst = int(np.argmax(squared))
-        noise = float(transport.noise(samples)[worst])
+        noise = float(transport.noise(samples, bandlimit)[worst])
         best = math.sqrt(float(squared[worst]))
         limit = f"{samples} rays per vertex" if noise > 0.5 * squared[worst] else f"bandlimit {bandlimit}"
         claimed = max(best, float(transport.yardstick.noise[worst]))
@@ -246,7 +248,7 @@ class Chooser:
         return best
 
 
-def _rest(squared: NDArray, deviation: NDArray, wanted: float) -> NDArray[np.float64]:
+def _rest(squared: NDArray, deviation: NDArray, wanted: float, safe: float) -> NDArray[np.float64]:
     """(lights,) what transport leaves of the squared error, with something kept free for what is not known well."""
-    free = 1.0 - np.minimum(_MODELS_OFF + _SAFE * deviation * squared / wanted**2, _MOST_FREE)
+    free = 1.0 - np.minimum(_MODELS_OFF + safe * deviation * squared / wanted**2, _MOST_FREE)
     return np.asarray((free * wanted) ** 2 - squared)

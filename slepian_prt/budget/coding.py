@@ -29,12 +29,13 @@ _TRIED, _OF_EACH = 24, 250
 # Transport beside it reaches this degree, for the part of its error that is the bandlimit's.
 _BESIDE = 30
 
-# How often all caps are coded until the step is right, on average.
-_PASSES = 1.7
+# How long all caps take until the step is right, over once with a choice of axes; small parts of caps take longer.
+_PASSES = 0.8
 
 # A tolerance that is off by more than this factor is tried again; one that is less off is changed by a little less.
-_CLOSE = 1.25
-_SAFE = 0.985
+_CLOSE = 1.35
+_USUAL = 1.35
+_SAFE = 0.98
 _TRIALS = 4
 _FINEST, _COARSEST = 1e-5, 0.9
 
@@ -119,8 +120,8 @@ class CodingPilot:
 
     def within(self, squared: NDArray) -> Coded:
         """The coarsest tolerance that adds at most so much, (lights,), to the squared relative error of transport."""
-        # The error of relit radiance is about the tolerance, which is that under light of such a spectrum.
-        tolerance = float(np.sqrt(np.min(squared)))
+        # The tolerance is about the error under light of such a spectrum, and what it adds is less.
+        tolerance = _USUAL * float(np.sqrt(np.min(squared)))
         power, before = 1.0, None
         for _ in range(_TRIALS):
             tolerance = min(max(tolerance, _FINEST), _COARSEST)

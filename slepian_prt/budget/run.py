@@ -49,6 +49,10 @@ _REPEATS = 1
 _AIMED_LOWER = 0.95
 
 
+# How often it is coded again, finer, if the vertices that were chosen by have too much error; and a little finer still.
+_REVIEWS = 2
+_FINER = 0.98
+
 # Coefficients that are kept as they will be decoded, so that the verification need not decode them.
 _KEPT = 50_000_000
 
@@ -214,6 +218,7 @@ class _Task:
         self.ready, self.goal, self.light, self.settings, self._tell = ready, goal, light, settings, tell
         self.yardstick: Yardstick
         self.held_out: Yardstick
+        self._known: Yardstick
         self._groupings: list[Grouping] = []
         self._priors: dict[int, LightPrior] = {}
 
@@ -222,11 +227,17 @@ class _Task:
         size = LARGE_PILOT if (self.goal.error or 1.0) <= SMALL_ERROR else PILOT
         chosen, held_out = pilot_vertices(self.ready, self.ready.job.seed + repeat, size)
         self._tell("reference of the pilot")
-        both = self._measure(np.concatenate([chosen, held_out]))
-        self.yardstick, self.held_out = both.part(slice(chosen.size)), both.part(slice(chosen.size, None))
+        if repeat == 0:
+            self._known = self._measure(np.concatenate([chosen, held_out]))
+            self.yardstick = self._known.part(slice(chosen.size))
+            self.held_out = self._known.part(slice(chosen.size, None))
+        else:
+            # What has been looked at is known now; others are held out.
+            self.yardstick = self._known
+            self.held_out = self._measure(np.setdiff1d(chosen, self._known.vertices))
         samples = SAMPLES if self.goal.samples is None else (self.goal.samples,)
         bandlimits = BANDLIMITS if self.goal.bandlimit is None else (self.goal.bandlimit,)
-        pilot = TransportPilot(self.ready, self.yardstick, held_out, samples, bandlimits, self._tell)
+        pilot = TransportPilot(self.ready, self.yardstick, self.held_out.vertices, samples, bandlimits, self._tell)
         return Chooser(pilot, self._coding, self.goal, started)
 
     def _measure(self, vertices: NDArray) -> Yardstick:
@@ -266,14 +277,44 @@ class _Task:
         ready = self.ready.asked(replace(self.ready.job, samples=chosen.samples, bandlimit=chosen.bandlimit))
         on_plan(ready.plan.effects)
         if chosen.look.transfer is not None:
-            return compressed(chosen.look.transfer, chosen.coded.work, self._tell, time.perf_counter())
+            transfer, started = chosen.look.transfer, time.perf_counter()
+            return compressed(transfer, chosen.coded.work, self._tell, started, self._review(chosen))
         assert chosen.look.source is not None
         work = chosen.coded.work
         work.keeps = work.bases[0].count * len(ready.scene.mesh.positions) <= _KEPT
         return streamed(ready, chosen.look.source, chosen.coded.work, advance, self._tell)
 
+    def _review(self, chosen: Choice) -> Callable[[CompressedTransfer], float | None]:
+        """Whether the vertices that were chosen by have the error that was aimed at; those held out are not looked at.
+
+        What a trial of some caps foresaw of coding may be off.
+        """
+        left = _REVIEWS if self.goal.error is not None else 0
+
+        def review(packed: CompressedTransfer) -> float | None:
+            nonlocal left
+            if left == 0:
+                return None
+            left -= 1
+            found = _errors(self.yardstick, packed)
+            transport = chosen.transport_error**2
+            over = found - chosen.error**2
+            if np.all(over <= 0.0):
+                return None
+            room = (chosen.error**2 - transport) / np.maximum(found - transport, 1e-300)
+            return (
+                chosen.coded.work.settings.asked * _FINER * float(np.sqrt(np.clip(np.min(room[over > 0.0]), 0.1, 1.0)))
+            )
+
+        return review
+
     def verified(self, packed: CompressedTransfer) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(lights,) error and noise of the reference at vertices that nothing was chosen by."""
-        vectors = packed.reconstruct(self.held_out.vertices)
-        found = self.held_out.errors(vectors[:, None, :] if vectors.ndim == 2 else vectors)
-        return np.sqrt(found.squared[packed.bandlimit]), self.held_out.noise
+        return np.sqrt(_errors(self.held_out, packed)), self.held_out.noise
+
+
+def _errors(yardstick: Yardstick, packed: CompressedTransfer) -> NDArray[np.float64]:
+    """(lights,) squared relative errors of compressed transfer."""
+    vectors = packed.reconstruct(yardstick.vertices)
+    found = yardstick.errors(vectors[:, None, :] if vectors.ndim == 2 else vectors)
+    return found.squared[packed.bandlimit]

@@ -27,7 +27,7 @@ _LOOKS = (10, 20, 30, 50)
 
 # Vertices to choose by, more for small errors, which few vertices make most of and which take long anyway; as many are
 # held out for the verification, and both are timed.
-PILOT, LARGE_PILOT, SMALL_ERROR = 2048, 4096, 0.03
+PILOT, LARGE_PILOT, SMALL_ERROR = 3072, 4096, 0.03
 
 # A look that takes more than this part of a run that is good enough is not taken.
 _SPARED = 0.12
@@ -57,6 +57,8 @@ class Look:
     samples, bandlimit : int
     error : Error
         At every bandlimit up to that.
+    noise : (L+1, lights) or None
+        What other turns about the normals would change of the squared errors.
     seconds : float
         For the whole mesh.
     source : DirectTransfer or None
@@ -68,6 +70,7 @@ class Look:
     samples: int
     bandlimit: int
     error: Error
+    noise: NDArray[np.float64] | None
     seconds: float
     source: DirectTransfer | None
     transfer: Transfer | None = None
@@ -126,22 +129,23 @@ class TransportPilot:
 
     # --- Looking -----------------------------------------------------------------------------------------------------
 
-    def look(self, samples: int, bandlimit: int) -> Look:
-        """Trace the pilot; where vertices depend on each other, all of the mesh, once for each number of rays."""
+    def look(self, samples: int, bandlimit: int, *, twice: bool = False) -> Look:
+        """Trace the pilot, ``twice`` to tell noise from the rest; where vertices depend on each other, all of the mesh,
+        once for each number of rays."""
         held = self._held.get(samples)
         if held is not None and held.bandlimit >= bandlimit:
             return held.cut(bandlimit)
         self._tell(f"pilot, {samples} rays, L = {bandlimit}")
-        found = self._by_blocks(samples, bandlimit) if self.ready.by_blocks else self._whole(samples, bandlimit)
+        found = self._by_blocks(samples, bandlimit, twice) if self.ready.by_blocks else self._whole(samples, bandlimit)
         known = self._looks.get(samples)
-        if known is None or known.bandlimit <= bandlimit:
+        if known is None or known.bandlimit < bandlimit or (known.bandlimit == bandlimit and known.noise is None):
             self._looks[samples] = replace(found, source=None, transfer=None)
         if found.transfer is not None:
             self._held[samples] = found
         self._pace = found.seconds / self._model(samples, bandlimit)
         return found
 
-    def _by_blocks(self, samples: int, bandlimit: int) -> Look:
+    def _by_blocks(self, samples: int, bandlimit: int, twice: bool) -> Look:
         ready = self.ready
         begin = time.perf_counter()
         source = self.source(samples, bandlimit)
@@ -151,8 +155,12 @@ class TransportPilot:
         took = time.perf_counter() - prepared
         count = len(ready.scene.mesh.positions)
         seconds = took * count / self._timed.size * (_SCATTERED if count > self._timed.size else 1.0)
-        error = self.yardstick.errors(vectors[: self.yardstick.vertices.size, None, :])
-        return Look(samples, bandlimit, error, seconds + prepared - begin, source)
+        chosen = self.yardstick.vertices
+        own, noise = vectors[: chosen.size, None, :], None
+        if twice:
+            other = source.other(ready.job.seed + 1, bandlimit).of(chosen)[0][:, None, :]
+            noise = 0.5 * self.yardstick.apart(own, other)
+        return Look(samples, bandlimit, self.yardstick.errors(own), noise, seconds + prepared - begin, source)
 
     def _whole(self, samples: int, bandlimit: int) -> Look:
         begin = time.perf_counter()
@@ -160,7 +168,7 @@ class TransportPilot:
         transfer = asked.transfer()
         seconds = time.perf_counter() - begin
         error = self.yardstick.errors(transfer.vectors[self.yardstick.vertices])
-        return Look(samples, bandlimit, error, seconds, None, transfer)
+        return Look(samples, bandlimit, error, None, seconds, None, transfer)
 
     def source(self, samples: int, bandlimit: int) -> DirectTransfer:
         """What traces so many rays, as the whole run would."""
@@ -193,22 +201,21 @@ class TransportPilot:
         """The look with the most rays."""
         return self._looks[max(self._looks)]
 
-    def noise(self, samples: int) -> NDArray[np.float64]:
-        """(lights,) squared error that so many rays make, roughly."""
+    def noise(self, samples: int, bandlimit: int) -> NDArray[np.float64]:
+        """(lights,) squared error that so few rays make, roughly: from how much more rays helped at a low bandlimit,
+        and how what changes with the turns about the normals grows with the bandlimit."""
         traced = sorted(self._looks)
         if len(traced) < 2:
             return np.zeros(len(self.yardstick.names))
         fewer, most = self._looks[traced[-2]], self._looks[traced[-1]]
-        l = min(fewer.bandlimit, most.bandlimit)
+        l = min(fewer.bandlimit, most.bandlimit, bandlimit)
         ratio = (most.samples / fewer.samples) ** _FALLS
         of_most = np.maximum(fewer.error.squared[l] - most.error.squared[l], 0.0) / (ratio - 1.0)
-        if samples in self._looks:
-            own = self._looks[samples]
-            l = min(own.bandlimit, most.bandlimit)
-            return np.asarray(of_most + np.maximum(own.error.squared[l] - most.error.squared[l], 0.0))
-        nearest = min(traced, key=lambda s: abs(math.log(s / samples)))
-        at_nearest = of_most if nearest == traced[-1] else self.noise(nearest)
-        return np.asarray(at_nearest * (nearest / samples) ** _FALLS)
+        grown = np.ones_like(of_most)
+        if most.noise is not None:
+            reached = min(bandlimit, most.bandlimit)
+            grown = np.maximum(most.noise[reached] / np.maximum(most.noise[l], 1e-300), 1.0)
+        return np.asarray(of_most * grown * (most.samples / samples) ** _FALLS)
 
     def squared(self, samples: int, bandlimit: int) -> NDArray[np.float64]:
         """(lights,) squared error, measured where that was looked at, else as the sum of its parts."""
@@ -219,8 +226,8 @@ class TransportPilot:
         if not reaching:
             return np.full(len(self.yardstick.names), np.inf)
         best = max(reaching, key=lambda look: look.samples)
-        without = np.maximum(best.error.squared[bandlimit] - self.noise(best.samples), 0.0)
-        return np.asarray(without + self.noise(samples))
+        without = np.maximum(best.error.squared[bandlimit] - self.noise(best.samples, bandlimit), 0.0)
+        return np.asarray(without + self.noise(samples, bandlimit))
 
     # --- Searching ---------------------------------------------------------------------------------------------------
 
@@ -238,23 +245,25 @@ class TransportPilot:
         lowest = self._first_bandlimit()
         for samples in self.samples[:3:2] if self.ready.by_blocks else self.samples[:1]:
             if samples not in self._looks:
-                self.look(samples, lowest)
+                self.look(samples, lowest, twice=True)
         while not self.feasible(target, seconds):
-            move = self._next(seconds)
+            move = self._next(target, seconds)
             known = [self.rough(*c) for c in self.feasible(good, seconds)]
             if move is None or (known and self._cost(*move) > _SPARED * min(known)):
                 return
-            self.look(*move)
+            self.look(*move, twice=True)
 
-    def _next(self, seconds: float) -> tuple[int, int] | None:
-        """What to look at next: more rays or more degrees, whichever matters more."""
+    def _next(self, target: float, seconds: float) -> tuple[int, int] | None:
+        """What to look at next: more rays or more degrees, whichever matters more; more rays only if that can help."""
         bandlimit = max(look.bandlimit for look in self._looks.values())
         most = self._finest.samples
         higher = [l for l in (*_LOOKS, self.bandlimits[-1]) if bandlimit < l <= self.bandlimits[-1]][:1]
-        more = [s for s in self.samples if s >= 4 * most][:1]
-        noise = self.noise(most)
+        noise = self.noise(most, bandlimit)
         left_out = np.maximum(self.squared(most, bandlimit) - noise, 0.0)
-        by_noise = len(self._looks) == 1 or bool(np.max(noise) > np.max(left_out))
+        unknown = len(self._looks) == 1
+        by_noise = unknown or bool(np.max(noise) > np.max(left_out))
+        helps = unknown or bool(higher) or bool(np.max(left_out) <= target**2)
+        more = [s for s in self.samples if s >= 4 * most][: int(helps)]
         moves = [(s, bandlimit) for s in more] + [(most, l) for l in higher]
         moves = [m for m in moves if self.fits(*m) and self.seconds(*m) <= seconds]
         # What is worse is mended first, if it can be.

@@ -68,6 +68,10 @@ class Yardstick(Protocol):
         """Of transfer vectors (n, channels, (L+1)²) at the vertices, cut at every bandlimit."""
         ...
 
+    def apart(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+        """(L+1, lights) mean squared differences, cut at every bandlimit, over the mean square of the reference."""
+        ...
+
     def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         """(lights,) mean products of the radiance of two sets of vectors (n, channels, (L+1)²) at any vertices, over
         the mean square of the reference."""
@@ -147,6 +151,18 @@ class MapYardstick:
             squared.append(one.squared[:, 0])
             deviation.append(one.deviation[:, 0])
         return Error(np.stack(squared, axis=1), np.stack(deviation, axis=1))
+
+    def apart(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+        bandlimit = math.isqrt(first.shape[2]) - 1
+        found = np.zeros((bandlimit + 1, len(self.environments)))
+        for i, (lighting, scale) in enumerate(zip(self._lighting, self._scales, strict=True)):
+            sums = np.zeros((len(first), 3))
+            for l in range(bandlimit + 1):
+                degree = slice(l * l, (l + 1) ** 2)
+                part = _channels(first[:, :, degree] - second[:, :, degree])
+                sums += np.einsum("ncm,cm->nc", part, lighting[:, degree]) * self.albedo
+                found[l, i] = float(np.mean(np.sum(sums**2, axis=1))) / scale if scale > 0.0 else 0.0
+        return found
 
     def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         found = []
@@ -239,6 +255,15 @@ class SpectrumYardstick:
         squares = (wrong + left + self.beyond * float(self.power[-1])).T
         squares = np.concatenate([squares, np.repeat(squares[-1:], bandlimit - held, axis=0)])
         return _error(squares, whole, np.full(bandlimit + 1, float(noise.sum()) / whole if whole > 0.0 else 0.0))
+
+    def apart(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+        _, _, whole = self._degrees
+        bandlimit = math.isqrt(first.shape[2]) - 1
+        held = min(bandlimit, self.power.size - 1)
+        size = (held + 1) ** 2
+        off = np.cumsum(np.mean(_by_degree(first[:, :, :size] - second[:, :, :size]), axis=0) * self.power[: held + 1])
+        off = np.concatenate([off, np.full(bandlimit - held, off[-1])])
+        return off[:, None] / whole if whole > 0.0 else np.zeros((bandlimit + 1, 1))
 
     def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         _, _, whole = self._degrees

@@ -10,6 +10,7 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ _BLOCK = 1 << 14
 USUAL_TERMS = 16
 
 Tell = Callable[[str], None]
+Review = Callable[[CompressedTransfer], float | None]
 
 
 def compress(
@@ -97,14 +99,27 @@ def compress(
     return compressed(transfer, work, tell, started)
 
 
-def compressed(transfer: Transfer, work: Work, tell: Tell, started: float) -> CompressedTransfer:
+def compressed(
+    transfer: Transfer, work: Work, tell: Tell, started: float, review: Review = lambda _: None
+) -> CompressedTransfer:
     """Project and code vectors that are there, with bases that are learnt.
 
-    ``started`` is when compression began, by `time.perf_counter`.
+    ``started`` is when compression began, by `time.perf_counter`; ``review`` as of `streamed`.
     """
     store = projected(transfer, work)
     tell("coding")
-    return finished(transfer, work, store, started)
+    return _reviewed(partial(finished, transfer, work, store, started), work, review, tell)
+
+
+def _reviewed(code: Callable[[], CompressedTransfer], work: Work, review: Review, tell: Tell) -> CompressedTransfer:
+    """Code until a review is content."""
+    packed = code()
+    while (finer := review(packed)) is not None:
+        tell(f"coding once more, tolerance {finer:.3g}")
+        assert packed.coded is not None
+        work.refine_to(finer, packed.coded.tuning)
+        packed = code()
+    return packed
 
 
 def projected(transfer: Transfer, work: Work) -> MemoryStore:
@@ -182,7 +197,12 @@ def precompute_compressed(
 
 
 def streamed(
-    ready: Ready, source: DirectTransfer, work: Work, advance: Callable[[int, int], None], tell: Tell
+    ready: Ready,
+    source: DirectTransfer,
+    work: Work,
+    advance: Callable[[int, int], None],
+    tell: Tell,
+    review: Review = lambda _: None,
 ) -> CompressedTransfer:
     """Trace and project block after block, then code.
 
@@ -195,8 +215,9 @@ def streamed(
     work : Work
         With its bases learnt.
     advance, tell : as of `precompute_compressed`
+    review : callable
+        Given what was coded; answers with a finer tolerance to code again with, or None.
     """
-    job, mesh = ready.job, ready.scene.mesh
     of_pilot = source.rays
     while True:
         with journal(_fingerprint(ready, work)) as store:
@@ -206,23 +227,30 @@ def streamed(
                 ready.clock.stop("transport")
                 tell("coding")
                 rays = of_pilot + sum(block.rays for _, block in store)
-                result = work.finish(store, overrides)
-                break
+                code = partial(_finished, ready, work, store, overrides, rays)
+                return _reviewed(code, work, review, tell)
         log.info("the pilot foresaw too little error; once more with %d functions of each cap", work.bases[0].count)
-    ready.clock.stop("compress")
+
+
+def _finished(ready: Ready, work: Work, store: Store, overrides: dict[int, Block], rays: int) -> CompressedTransfer:
+    """Code what was traced."""
+    begin = time.perf_counter()
+    result = work.finish(store, overrides)
+    seconds = ready.clock.seconds
+    seconds["compress"] = seconds.get("compress", 0.0) + time.perf_counter() - begin
     own = ready.scene.environment
     packed = CompressedTransfer(
         **result,
-        mesh=mesh,
+        mesh=ready.scene.mesh,
         parts=ready.scene.parts,
         bandlimit=work.bandlimit,
         clusters=work.clusters,
         effects=ready.plan.effects,
         bounces=0,
-        samples=int(job.samples),
-        seed=job.seed,
+        samples=int(ready.job.samples),
+        seed=ready.job.seed,
         rays_traced=rays,
-        seconds=ready.clock.seconds,
+        seconds=seconds,
         source=ready.scene.path,
         lighting=None if own is None else project_environment(own, work.bandlimit),
         view=ready.scene.view,

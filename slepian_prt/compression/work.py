@@ -84,7 +84,7 @@ class Trial:
     bytes : float
         Of a vertex, in these caps.
     reading, coding, decoding : float
-        Seconds to lay out the surface of these caps, once, to code them, each time, and to decode them.
+        Seconds to lay out the surface of these caps, to code them, with a choice of axes, and to decode them.
     """
 
     start: Start
@@ -143,6 +143,8 @@ class Work:
         self._factor = 1
         self.pilot: Pilot | None = None
         self._found: list[Candidate] = []
+        # The widest bases so far, by how they are kept: narrower ones are their first functions.
+        self._made: dict[tuple[Any, ...], tuple[LinearBasis, ...]] = {}
         prior = settings.light_prior
         self._weights = None if prior is None else prior.weights
 
@@ -158,6 +160,7 @@ class Work:
 
     def learn(self, vectors_of: Callable[[NDArray], NDArray]) -> None:
         """Make the bases from a pilot; ``vectors_of`` gives (n, channels, (L+1)²) for vertices."""
+        self._made.clear()
         vertices = pilot_vertices(self.clusters, self._axes, self._seed)
         vectors = decorrelated(vectors_of(vertices))
         # The decoder knows the normals; toward a view they tell little.
@@ -183,9 +186,15 @@ class Work:
     def use(self, found: list[Candidate], channels: int) -> None:
         """Cut candidates, one for each cap, to the bases that blocks are projected on."""
         self._found, self.channels = found, channels
-        bases = tuple(candidate.cut(int(k)) for candidate, k in zip(found, self._counts(), strict=True))
+        counts = self._counts()
+        bases = tuple(candidate.cut(int(k)) for candidate, k in zip(found, counts, strict=True))
         if self.settings.codes != "float32" and not (self._codes and self.settings.asked < _FINE):
             bases = tuple(basis.halved() for basis in bases)
+        wider = self._made.get(_kind(bases[0])) if self._codes and bases else None
+        if wider is not None and all(w.count >= basis.count for w, basis in zip(wider, bases, strict=True)):
+            bases = tuple(w.first(basis.count) for w, basis in zip(wider, bases, strict=True))
+        elif bases:
+            self._made[_kind(bases[0])] = bases
         self.bases = bases
 
     @cached_property
@@ -235,6 +244,12 @@ class Work:
         other._factor = 1
         other.use(self._found, self.channels)
         return other
+
+    def refine_to(self, tolerance: float, tuning: codec.Tuning) -> None:
+        """Code with a finer tolerance from now on, beginning from what was coded before; the bases stay."""
+        ratio = tolerance / self.settings.asked
+        self.settings = replace(self.settings, tolerance=tolerance)
+        self.start = Start(replace(tuning, step=tuning.step * ratio))
 
     def of_clusters(self, clusters: Clusters) -> Work:
         """The same on some members of the clusters only."""
@@ -401,25 +416,25 @@ class Work:
         caps = self._caps(store, {})
         total, missed = caps.energies()
         begin = time.perf_counter()
-        for c in numbers:
-            caps.along(c)
+        samples = [caps.along(c) for c in numbers]
         read = time.perf_counter()
-        tuning, encoded = self._encoded(caps, numbers, self._distortion(total, missed))
+        finest = caps.largest() / codec.LARGEST_MULTIPLE
+        tuning = codec.tune(samples, self._distortion(total, missed), finest)
         tuned = time.perf_counter()
-        for c, cap in zip(numbers, encoded, strict=True):
-            self._encode(caps, c, tuning, cap.turned)
+        encoded = [self._encode(caps, c, tuning, None) for c in numbers]
         coded = time.perf_counter()
         decoded = [
-            codec.decode_cap(cap.words, self.bases[c].count * self.channels, caps.along(c)[1], tuning)
-            for c, cap in zip(numbers, encoded, strict=True)
+            codec.decode_cap(cap.words, self.bases[c].count * self.channels, surface, tuning)
+            for c, cap, (_, surface) in zip(numbers, encoded, samples, strict=True)
         ]
         read_back = time.perf_counter()
+        size = self.clusters.sizes[list(numbers)].sum()
         return Trial(
             Start(tuning),
             *self._measured(numbers, encoded, total, missed),
-            sum(cap.errors for cap in encoded) / self.clusters.sizes[list(numbers)].sum(),
+            sum(cap.errors for cap in encoded) / size,
             [self._of_members(caps, c, cap, tuning.step) for c, cap in zip(numbers, decoded, strict=True)],
-            4.0 * sum(cap.words.size for cap in encoded) / self.clusters.sizes[list(numbers)].sum(),
+            4.0 * sum(cap.words.size for cap in encoded) / size,
             read - begin,
             coded - tuned,
             read_back - coded,
