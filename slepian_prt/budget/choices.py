@@ -200,11 +200,13 @@ class Chooser:
         worst = int(np.argmax(squared))
         noise = float(transport.noise(samples, bandlimit)[worst])
         best = math.sqrt(float(squared[worst]))
-        limit = f"{samples} rays per vertex" if noise > 0.5 * squared[worst] else f"bandlimit {bandlimit}"
+        # If more degrees were there and did not help, it is the rays.
+        by_rays = noise > 0.5 * squared[worst] or bandlimit < transport.bandlimits[-1]
+        limit = f"{samples} rays per vertex leave" if by_rays else f"bandlimit {bandlimit} leaves"
         claimed = max(best, float(transport.yardstick.noise[worst]))
         offer = math.ceil(1000.0 * claimed / (0.95 * max(_PARTS))) / 1000.0
         return UserError(
-            f"an error of {wanted:g} cannot be met under {transport.yardstick.names[worst]}: {limit} leaves "
+            f"an error of {wanted:g} cannot be met under {transport.yardstick.names[worst]}: {limit} "
             f"{claimed:.2g} before compression, which is the least that can be had; ask for --max-error {offer:g}"
             " or more, or for smoother light"
         )

@@ -42,6 +42,9 @@ _LEFT_OUT_BEFORE_REFINING = 0.003
 # Below this tolerance functions are stored in float32.
 _FINE = 0.005
 
+# Bytes of names and shapes of arrays in a file.
+_HEADERS = 1800
+
 # Vertices that the step and the models are fitted to, in whole caps.
 _SAMPLE = 15_000
 _ATTEMPTS = 3
@@ -281,8 +284,8 @@ class Work:
 
     @property
     def overhead(self) -> float:
-        """Bytes that a file holds beside the coefficients: functions, which all caps share, and caps."""
-        return 2.0 * self.bases[0].count * (self.bandlimit + 1) + 32.0 * len(self.bases)
+        """Bytes that a file holds beside the coefficients, roughly: functions, which all caps share, caps, headers."""
+        return 2.0 * self.bases[0].count * (self.bandlimit + 1) + 32.0 * len(self.bases) + _HEADERS
 
     # --- Block after block ---
 
