@@ -668,8 +668,8 @@ def print_choices(choices: Sequence[Any], chosen: Any, rest: float) -> None:
     """What could be chosen, as a table; the choice is marked."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     headings = (
-        "", "rays", "L", "tolerance", "error of transport", "predicted error", "bytes/vertex", "transport",
-        "compression", "in all",
+        "", "rays", "L", "tolerance", "error of transport", "predicted error", "bytes/vertex, at most",
+        "transport", "compression", "in all",
     )  # fmt: skip
     for heading in headings:
         table.add_column(heading, justify="right")

@@ -45,7 +45,8 @@ def decorate(axis: Any) -> None:
     axis.yaxis.set_major_formatter(formatter)
     low, high = axis.get_ylim()
     if axis.get_yscale() == "log" and high / max(low, 1e-300) < 300.0:  # few decades: label between them too
-        axis.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        between = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high / max(low, 1e-300) < 12.0 else (1.0, 2.0, 5.0)
+        axis.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=between))
         axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 

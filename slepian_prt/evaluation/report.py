@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -255,7 +256,7 @@ def ladder_plot(rungs: Sequence[Rung]) -> bytes:
     names = list(dict.fromkeys(rung.environment for rung in rungs))
     stages = list(dict.fromkeys(rung.stage for rung in rungs if rung.error > 0.0))
     figure, axes = plots.figure(len(names))
-    figure.set_size_inches(1.6 + 4.2 * len(names), 1.4 + 0.45 * len(stages))
+    figure.set_size_inches(3.2 + 4.6 * len(names), 1.5 + 0.55 * len(stages))
     kinds = ((IN_PICTURE, "#D55E00", "o", -0.12), (AT_VERTICES, "#0072B2", "s", 0.12))
     for axis, name in zip(axes[0], names, strict=True):
         for against, colour, marker, shift in kinds:
@@ -269,7 +270,8 @@ def ladder_plot(rungs: Sequence[Rung]) -> bytes:
         axis.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %"))
         axis.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
-        axis.set_yticks(range(len(stages)), stages if axis is axes[0, 0] else [""] * len(stages))
+        labels = [textwrap.fill(stage, 26) for stage in stages] if axis is axes[0, 0] else [""] * len(stages)
+        axis.set_yticks(range(len(stages)), labels)
         axis.set_ylim(len(stages) - 0.5, -0.5)
         axis.set_xlabel(f"relative RMS error under {name}")
         axis.grid(True, axis="x", which="major", color="#dddddd", linewidth=0.6)
