@@ -27,10 +27,12 @@ _SAFE, _LIKELY = 2.0, 0.4
 _MODELS_OFF = 0.03
 _MOST_FREE = 0.2
 
-# With a time to keep: how much of it is kept free, and how much transport may have of the rest.
+# With a time to keep: how much of it is kept free, and transport of how much of the rest is looked at.
 _TIME_OFF = 0.12
-_FOR_TRANSPORT = 0.7
-_FOR_LOOKING = 0.3
+_FOR_LOOKING = 0.2
+_HARDLY_WORSE = 1.1
+_FOR_THE_WORK = 0.55
+_FOR_TRIALS = 0.7
 _TRIES = 4
 
 
@@ -204,11 +206,12 @@ class Chooser:
         by_rays = noise > 0.5 * squared[worst] or bandlimit < transport.bandlimits[-1]
         limit = f"{samples} rays per vertex leave" if by_rays else f"bandlimit {bandlimit} leaves"
         claimed = max(best, float(transport.yardstick.noise[worst]))
-        offer = math.ceil(1000.0 * claimed / (0.95 * max(_PARTS))) / 1000.0
+        spread = claimed * float(transport.deviation(samples, bandlimit)[worst])
+        offer = math.ceil(1000.0 * (claimed + _SAFE * spread) / (0.95 * max(_PARTS))) / 1000.0
         return UserError(
             f"an error of {wanted:g} cannot be met under {transport.yardstick.names[worst]}: {limit} "
-            f"{claimed:.2g} before compression, which is the least that can be had; ask for --max-error {offer:g}"
-            " or more, or for smoother light"
+            f"{claimed:.2g} ± {spread:.1g} before compression, which is the least that can be had; ask for "
+            f"--max-error {offer:g} or more, or for smoother light"
         )
 
     # --- A wanted time -----------------------------------------------------------------------------------------------
@@ -222,32 +225,35 @@ class Chooser:
                 f"--max-seconds {math.ceil(2.0 * self.spent)} or more"
             )
         transport.explore(0.0, 0.0, _FOR_LOOKING * (keep - self.spent))
-        best: Choice | None = None
+        fitting: list[Choice] = []
         slower = math.inf
         for _ in range(_TRIES):
-            left = keep - self.spent
-            within = transport.feasible(math.inf, min(_FOR_TRANSPORT * left, slower))
-            if not within or (best is not None and self.spent > 0.5 * keep):
-                break
+            left = min(_FOR_THE_WORK * (keep - self.spent), slower)
+            within = [c for c in transport.feasible(math.inf, left) if transport.rough(*c) <= left]
+            if not within:
+                # The fastest there is, with what is left of the time.
+                within = [min(transport.feasible(math.inf), key=lambda c: transport.rough(*c))]
             exact = min(within, key=lambda c: float(np.max(transport.squared(*c))))
             # Of those that are hardly worse, the fastest.
-            good = 1.1**2 * float(np.max(transport.squared(*exact)))
+            good = _HARDLY_WORSE**2 * float(np.max(transport.squared(*exact)))
             samples, bandlimit = min(
-                (c for c in within if np.max(transport.squared(*c)) <= good), key=lambda c: transport.seconds(*c)
+                (c for c in within if np.max(transport.squared(*c)) <= good), key=lambda c: transport.rough(*c)
             )
             look = transport.look(samples, bandlimit)
             found = self._completed(look, np.maximum(look.error.squared[bandlimit], 1e-6))
-            if found.seconds <= keep - self.spent and (best is None or found.worst < best.worst):
-                best = found
+            fitting = [choice for choice in self.choices if self.spent + choice.seconds <= keep]
+            if fitting or len(within) == 1 or self.spent > _FOR_TRIALS * keep:
                 break
-            slower = 0.5 * min(slower, transport.seconds(samples, bandlimit))
-        if best is None:
-            least = min((c.seconds for c in self.choices), default=seconds)
+            slower = 0.4 * min(slower, transport.rough(samples, bandlimit), found.seconds)
+        # What was kept free may be used up before nothing is done at all.
+        fitting = fitting or [choice for choice in self.choices if self.spent + choice.seconds <= seconds]
+        if not fitting:
+            least = min(choice.seconds for choice in self.choices)
             raise UserError(
-                f"{seconds:g} seconds cannot be kept: the fastest that was found would take "
-                f"{self.spent + least:.1f}; ask for more"
+                f"{seconds:g} seconds cannot be kept: the pilot took {self.spent:.1f}, and the fastest that was found "
+                f"would take {least:.1f} more; ask for --max-seconds {math.ceil(1.5 * (self.spent + least))}"
             )
-        return best
+        return min(fitting, key=lambda choice: choice.worst)
 
 
 def _rest(squared: NDArray, deviation: NDArray, wanted: float, safe: float) -> NDArray[np.float64]:

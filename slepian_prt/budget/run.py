@@ -37,16 +37,18 @@ from slepian_prt.transport.transfer import Job, Ready
 
 # Noise of references: this part of the error asked for, and without one.
 _NOISE_PART = 0.35
-_USUAL_NOISE = 0.01
+_USUAL_NOISE = 0.015
 
 # Reference of light that only has a spectrum: rays and bandlimit, the latter for light that falls with the degree.
 _SPECTRUM_SAMPLES = 1024
+_SURVEY_SAMPLES = 256
 _SPECTRUM_BANDLIMIT = 30
 _FALLING_BANDLIMIT = 20
 
 # If the verification finds more error than was asked for, this often all is done once more, aimed lower.
 _REPEATS = 1
 _AIMED_LOWER = 0.95
+_ENOUGH = 256
 
 
 # How often it is coded again, finer, if the vertices that were chosen by have too much error; and a little finer still.
@@ -183,7 +185,7 @@ def precompute_within(
             seconds = time.perf_counter() - started
             wanted = goal.error
             met = wanted is None or float(error.max()) <= wanted
-            if met or goal.seconds is not None or repeat == _REPEATS:
+            if met or goal.seconds is not None or repeat == _REPEATS or not task.has_others():
                 break
             assert wanted is not None
             tell(f"{float(error.max()):.2%} on vertices held out; once more, aimed lower")
@@ -219,26 +221,33 @@ class _Task:
         self.yardstick: Yardstick
         self.held_out: Yardstick
         self._known: Yardstick
+        self._others = np.zeros(0, dtype=np.int64)
         self._groupings: list[Grouping] = []
         self._priors: dict[int, LightPrior] = {}
 
     def chooser(self, started: float, repeat: int) -> Chooser:
         """With a pilot of its own."""
         size = LARGE_PILOT if (self.goal.error or 1.0) <= SMALL_ERROR else PILOT
-        chosen, held_out = pilot_vertices(self.ready, self.ready.job.seed + repeat, size)
         self._tell("reference of the pilot")
         if repeat == 0:
+            chosen, held_out = map(self._open, pilot_vertices(self.ready, self.ready.job.seed, size))
             self._known = self._measure(np.concatenate([chosen, held_out]))
             self.yardstick = self._known.part(slice(chosen.size))
             self.held_out = self._known.part(slice(chosen.size, None))
         else:
             # What has been looked at is known now; others are held out.
             self.yardstick = self._known
-            self.held_out = self._measure(np.setdiff1d(chosen, self._known.vertices))
+            self.held_out = self._measure(self._others)
         samples = SAMPLES if self.goal.samples is None else (self.goal.samples,)
         bandlimits = BANDLIMITS if self.goal.bandlimit is None else (self.goal.bandlimit,)
         pilot = TransportPilot(self.ready, self.yardstick, self.held_out.vertices, samples, bandlimits, self._tell)
         return Chooser(pilot, self._coding, self.goal, started)
+
+    def has_others(self) -> bool:
+        """Whether there are vertices, enough to verify on, that have not been looked at."""
+        first, second = pilot_vertices(self.ready, self.ready.job.seed + 1, PILOT, self._known.vertices)
+        self._others = self._open(np.union1d(first, second))[:: max(1, (2 * first.size) // PILOT)]
+        return bool(self._others.size >= _ENOUGH)
 
     def _measure(self, vertices: NDArray) -> Yardstick:
         noise = _USUAL_NOISE if self.goal.error is None else _NOISE_PART * self.goal.error
@@ -253,6 +262,16 @@ class _Task:
         )
         prior = self.light.prior(bandlimit)
         return SpectrumYardstick.of(prior, vertices, (first, second), self.ready.scene.mesh.normals[vertices])
+
+    def _open(self, vertices: NDArray) -> NDArray[np.int64]:
+        """Vertices without those inside other geometry, which borrow their transfer from neighbours.
+
+        Under maps they show by being black in the reference.
+        """
+        if self.light.environments or not self.ready.by_blocks or vertices.size == 0:
+            return vertices
+        job = replace(self.ready.job, samples=_SURVEY_SAMPLES, bandlimit=1)
+        return vertices[self.ready.asked(job).direct().of(vertices)[1] < 1.0]
 
     def _prior(self, bandlimit: int) -> LightPrior:
         if bandlimit not in self._priors:

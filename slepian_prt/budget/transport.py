@@ -44,6 +44,9 @@ _ALPHA, _BETA, _GAMMA, _DELTA = 0.083, 0.024, 3.4e-5, 3.1
 # The same for compression of a vertex, which grows with M too, if tolerances are about as fine as transport is.
 _CODING = 0.29
 
+# What was timed says no more than this about compression.
+_SLOWEST = 3.0
+
 # Vertices one by one from all over a mesh share less of the tracer's caches than neighbours do.
 _SCATTERED = 0.88
 
@@ -85,16 +88,27 @@ class Look:
         return replace(self, bandlimit=bandlimit, error=error, transfer=transfer)
 
 
-def pilot_vertices(ready: Ready, seed: int, size: int = PILOT) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Vertices to choose by and others to verify on: every n-th along the mesh, the two in turns."""
+def pilot_vertices(
+    ready: Ready, seed: int, size: int = PILOT, known: NDArray | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices to choose by and others to verify on, one of each from every part of the mesh, at random.
+
+    Without those that are ``known``; both are empty if there are no others.
+    """
     receivers = np.flatnonzero(ready.scene.mesh.receivers)
+    if known is not None:
+        receivers = np.setdiff1d(receivers, known)
+    if receivers.size < 2:
+        return receivers, receivers
     order = receivers[np.argsort(morton(ready.scene.traced_positions[receivers]), kind="stable")]
-    count = min(2 * size, order.size)
-    offset = np.random.default_rng(seed).random()
-    chosen = order[((np.arange(count) + offset) * (order.size / count)).astype(np.int64)]
-    if count == 1:
-        return chosen, chosen
-    return np.sort(chosen[::2]), np.sort(chosen[1::2])
+    parts = min(size, order.size // 2)
+    rng = np.random.default_rng(seed)
+    bounds = np.linspace(0, order.size, parts + 1).astype(np.int64)
+    # Two different places in each part.
+    first = (bounds[:-1] + rng.random(parts) * np.diff(bounds)).astype(np.int64)
+    step = 1 + (rng.random(parts) * (np.diff(bounds) - 1)).astype(np.int64)
+    second = bounds[:-1] + (first - bounds[:-1] + step) % np.diff(bounds)
+    return np.sort(order[first]), np.sort(order[second])
 
 
 class TransportPilot:
@@ -233,7 +247,13 @@ class TransportPilot:
 
     def rough(self, samples: int, bandlimit: int) -> float:
         """Seconds of transport and compression of the whole mesh, roughly."""
-        coding = 1e-6 * _CODING * num_coefficients(bandlimit) * len(self.ready.scene.mesh.positions)
+        coding = (
+            1e-6
+            * _CODING
+            * min(max(self._pace, 1.0), _SLOWEST)
+            * num_coefficients(bandlimit)
+            * len(self.ready.scene.mesh.positions)
+        )
         return self.seconds(samples, bandlimit) + coding
 
     def explore(self, target: float, good: float, seconds: float = math.inf) -> None:

@@ -69,7 +69,7 @@ def measured_prior(lighting: Sequence[NDArray], bandlimit: int, name: str) -> Li
             )
         power = light_power(light)
         if not power.max() > 0.0:
-            raise UserError(f"{name}: is black and says nothing about light; choose another map as prior")
+            raise UserError(f"{name}: is black and says nothing about light; choose another map")
         spectra.append(power / power[0] if power[0] > _FAINTEST * power.max() else power / power.max())
     weights = np.sqrt(np.mean(spectra, axis=0))
     weights /= weights.max()

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression import codec, truncation
 from slepian_prt.compression.bases import Candidate, Frame, LinearBasis, Problem, candidates
@@ -168,6 +169,10 @@ class Work:
         vectors = decorrelated(vectors_of(vertices))
         # The decoder knows the normals; toward a view they tell little.
         told = self._normals if self._codes and not self._toward_view else None
+        with threadpool_limits(1, "blas"):
+            self._learn(vertices, vectors, told)
+
+    def _learn(self, vertices: NDArray, vectors: NDArray, told: NDArray | None) -> None:
         pilot = learn(self.clusters, self._axes, vertices, vectors, told)
         self.pilot = pilot
         problem = Problem(self.bandlimit, self._frames(), pilot, self._weights)
@@ -422,10 +427,11 @@ class Work:
         samples = [caps.along(c) for c in numbers]
         read = time.perf_counter()
         finest = caps.largest() / codec.LARGEST_MULTIPLE
-        tuning = codec.tune(samples, self._distortion(total, missed), finest)
-        tuned = time.perf_counter()
-        encoded = [self._encode(caps, c, tuning, None) for c in numbers]
-        coded = time.perf_counter()
+        with threadpool_limits(1, "blas"):
+            tuning = codec.tune(samples, self._distortion(total, missed), finest)
+            tuned = time.perf_counter()
+            encoded = [self._encode(caps, c, tuning, None) for c in numbers]
+            coded = time.perf_counter()
         decoded = [
             codec.decode_cap(cap.words, self.bases[c].count * self.channels, surface, tuning)
             for c, cap, (_, surface) in zip(numbers, encoded, samples, strict=True)
@@ -510,6 +516,13 @@ class Work:
     ) -> tuple[codec.Tuning, list[codec.EncodedCap]]:
         """Tune on some caps, code those of the given numbers, and again with another step until what rounding changed
         is what is wanted."""
+        # Many small problems: threads of BLAS gain nothing, and cost minutes where the cores are busy.
+        with threadpool_limits(1, "blas"):
+            return self._encoded_by_one(caps, numbers, wanted)
+
+    def _encoded_by_one(
+        self, caps: Caps, numbers: Sequence[int], wanted: float
+    ) -> tuple[codec.Tuning, list[codec.EncodedCap]]:
         finest = caps.largest() / codec.LARGEST_MULTIPLE
         turned: Sequence[bool | None] = [None] * len(numbers)
         if self.start is None:

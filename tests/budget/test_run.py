@@ -18,6 +18,7 @@ from slepian_prt.evaluation.errors import relative_rms
 from slepian_prt.evaluation.reference import vertex_reference
 from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.environments import make_environment, project_environment
+from slepian_prt.scene.meshes import make_mesh
 from slepian_prt.transport.transfer import Job
 from tests.conftest import ROOT, bumpy
 from tests.relighting.test_integrator import sky
@@ -145,6 +146,25 @@ def test_if_it_was_not_met_it_is_done_again(monkeypatch):
     again = [what for what in told if "once more" in what]
     assert len(again) == 1
     assert found.verification.error[0] <= 0.05
+
+
+def test_nothing_more_to_hold_out():
+    """On a mesh that the pilot has seen whole, a miss is told, and is no error."""
+    mesh = bumpy(1)
+    found = precompute_within(mesh, Goal(error=0.05), LIGHT, Settings(clusters=4), Job())
+    assert found.verification.vertices == len(mesh.positions) // 2
+
+
+def test_vertices_inside_others_do_not_count():
+    """Under light of a spectrum too: they borrow, where the reference is dark."""
+    mesh = bumpy(4)
+    inner = trimesh.creation.icosphere(3, 0.3)
+    both = trimesh.util.concatenate(trimesh.Trimesh(mesh.positions, mesh.faces, process=False), inner)
+    buried = make_mesh(both.vertices, both.faces, name="buried")
+    found = precompute_within(buried, Goal(error=0.08), Light(spectrum="1/(l+1)"), FEW, Job())
+    assert found.verification.error[0] <= 0.08
+    assert found.verification.error[0] == pytest.approx(found.verification.predicted[0], rel=0.2)
+    assert found.verification.vertices <= len(mesh.positions) // 2 + 50
 
 
 @pytest.mark.parametrize(
