@@ -301,7 +301,7 @@ class _Task:
         assert chosen.look.source is not None
         work = chosen.coded.work
         work.keeps = work.bases[0].count * len(ready.scene.mesh.positions) <= _KEPT
-        return streamed(ready, chosen.look.source, chosen.coded.work, advance, self._tell)
+        return streamed(ready, chosen.look.source, work, advance, self._tell, self._review(chosen))
 
     def _review(self, chosen: Choice) -> Callable[[CompressedTransfer], float | None]:
         """Whether the vertices that were chosen by have the error that was aimed at; those held out are not looked at.
