@@ -354,6 +354,7 @@ def info(file: str, as_json: bool) -> None:
         "predicted_relit_error": packed.predicted_relit_error(),
         "light_prior": packed.prior or None,
         "predicted_error_under_prior": packed.predicted_error_under_prior,
+        "verified_error": packed.verified or None,
         "samples": packed.samples,
         "seed": packed.seed,
         "rays_traced": packed.rays_traced,
@@ -366,6 +367,7 @@ def info(file: str, as_json: bool) -> None:
         return
     effects = content.pop("effects")
     content["seconds"] = ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items())
+    content["verified_error"] = ", ".join(f"{name} {error:.4g}" for name, error in packed.verified.items()) or None
     content["notes"] = "; ".join(packed.mesh.notes) or "none"
     for name, value in content.items():
         click.echo(f"{name:<21} {f'{value:.4g}' if isinstance(value, float) else value}")
