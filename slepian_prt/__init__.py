@@ -16,13 +16,14 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer, load
-    from slepian_prt.compression.light_prior import falling_prior, measured_prior
-    from slepian_prt.compression.pipeline import compress
+    from slepian_prt.compression.stream import compress
     from slepian_prt.errors import UserError
-    from slepian_prt.relighting.integrator import register
+    from slepian_prt.lighting.environment import Environment, read_environment
+    from slepian_prt.lighting.projection import project_environment
+    from slepian_prt.lighting.spectrum import falling_prior, measured_prior
+    from slepian_prt.relighting.mitsuba.integrator import register
     from slepian_prt.relighting.relight import relight
-    from slepian_prt.scene.environments import Environment, project_environment, read_environment
-    from slepian_prt.scene.meshes import Mesh, make_mesh, read_mesh
+    from slepian_prt.scene.mesh import Mesh, make_mesh, read_mesh
     from slepian_prt.slepian.concentration import CapBasis, RegionBasis, cap_basis, region_basis
     from slepian_prt.slepian.kernels import SecondMoment, cosine_lobe, measured_moment, zonal_coefficients
     from slepian_prt.slepian.shannon import (
@@ -40,34 +41,34 @@ if TYPE_CHECKING:
 _HOME = {
     "CapBasis": "slepian.concentration",
     "CompressedTransfer": "compression.compressed",
-    "Environment": "scene.environments",
-    "Mesh": "scene.meshes",
+    "Environment": "lighting.environment",
+    "Mesh": "scene.mesh",
     "RegionBasis": "slepian.concentration",
     "SecondMoment": "slepian.kernels",
     "Transfer": "transport.transfer",
     "UserError": "errors",
     "cap_basis": "slepian.concentration",
     "cap_region": "sphere.regions",
-    "compress": "compression.pipeline",
+    "compress": "compression.stream",
     "concentration_count": "slepian.shannon",
     "cosine_lobe": "slepian.kernels",
     "generalized_shannon_number": "slepian.shannon",
-    "falling_prior": "compression.light_prior",
+    "falling_prior": "lighting.spectrum",
     "load": "compression.compressed",
-    "make_mesh": "scene.meshes",
+    "make_mesh": "scene.mesh",
     "mask_region": "sphere.regions",
-    "measured_prior": "compression.light_prior",
+    "measured_prior": "lighting.spectrum",
     "measured_moment": "slepian.kernels",
     "minimal_enclosing_cap": "sphere.caps",
     "polygon_region": "sphere.regions",
     "precompute": "transport.transfer",
-    "project_environment": "scene.environments",
-    "read_environment": "scene.environments",
-    "read_mesh": "scene.meshes",
+    "project_environment": "lighting.projection",
+    "read_environment": "lighting.environment",
+    "read_mesh": "scene.mesh",
     "real_sh": "sphere.harmonics",
     "refined_shannon_number": "slepian.shannon",
     "region_basis": "slepian.concentration",
-    "register": "relighting.integrator",
+    "register": "relighting.mitsuba.integrator",
     "relight": "relighting.relight",
     "rotate_sh": "sphere.rotation",
     "shannon_number": "slepian.shannon",

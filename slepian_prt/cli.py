@@ -163,14 +163,14 @@ def spectrum(
     bandlimit: int, half_angle: float, kernel: str, epsilon: float, json_file: str | None, plot_file: str | None
 ) -> None:
     """Eigenvalues of the concentration problem on a cap, and the Shannon numbers that estimate their count."""
-    from slepian_prt.compression import archive
+    from slepian_prt import files
     from slepian_prt.evaluation import spectra
 
     if not 0.0 <= half_angle <= 180.0:
         raise UserError(f"half-angle must be between 0 and 180 degrees, not {half_angle:g}")
     for path in (json_file, plot_file):
         if path is not None:
-            archive.check_writable(path)
+            files.check_writable(path)
     if plot_file is not None and Path(plot_file).suffix.lower() != ".png":
         raise UserError(f"{plot_file}: plots are written as .png")
     result = spectra.spectrum(bandlimit, math.radians(half_angle), kernel, epsilon)
@@ -189,11 +189,11 @@ def spectrum(
     for value, order in zip(result.eigenvalues[:shown], result.orders[:shown], strict=True):
         click.echo(f"  {value:.10g}  (m = {order:+d})")
     if json_file is not None:
-        with archive.atomic_output(json_file) as file:
+        with files.atomic_output(json_file) as file:
             file.write((json.dumps(result.as_dict(), indent=1) + "\n").encode())
     if plot_file is not None:
         content = spectra.plot_spectrum(result)
-        with archive.atomic_output(plot_file) as file:
+        with files.atomic_output(plot_file) as file:
             file.write(content)
 
 
@@ -235,20 +235,20 @@ def precompute(
     With --max-error or --max-seconds, rays, bandlimit and tolerance are chosen from a pilot, unless they are given, and
     what came of it is verified on vertices held out.
     """
-    from slepian_prt.budget.goal import Goal
-    from slepian_prt.compression import archive
-    from slepian_prt.compression.pipeline import precompute_compressed
+    from slepian_prt import files
+    from slepian_prt.accuracy.goal import Goal
     from slepian_prt.compression.settings import Settings
-    from slepian_prt.transport.transfer import Job
+    from slepian_prt.compression.stream import precompute_compressed
+    from slepian_prt.transport.transfer import TransportSettings
 
     started = time.perf_counter()
-    job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
+    job = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
     aimed = max_error is not None or max_seconds is not None
     if environment and not aimed:
         raise UserError("--environment says what --max-error and --max-seconds are about; give one of them too")
     settings = Settings(**options, light_prior=None if aimed else read_prior(light_prior, job.bandlimit))
     settings.check(job.bandlimit)
-    archive.check_writable(output, scene)
+    files.check_writable(output, scene)
     if output and Path(output).suffix.lower() != ".prt":
         raise UserError(f"{output}: transfer files end in .prt; name the output so")
     if aimed:
@@ -292,7 +292,7 @@ def _described(packed: Any) -> str:
 
 def _precompute_within(scene: str, goal: Any, light: Any, settings: Any, job: Any, started: float) -> Any:
     """Run towards a goal and tell what was foreseen and what came of it."""
-    from slepian_prt.budget.run import precompute_within
+    from slepian_prt.accuracy.run import precompute_within
 
     with progress("transport", "vertices") as (advance, tell):
         found = precompute_within(
@@ -477,16 +477,16 @@ def compare(
 
     The light of adapted+light is the mean spectrum of the maps.
     """
-    from slepian_prt.compression.archive import check_folder
     from slepian_prt.compression.settings import Settings
     from slepian_prt.evaluation import report
     from slepian_prt.evaluation.compare import DEFAULT_TERMS
     from slepian_prt.evaluation.compare import compare as run
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
     from slepian_prt.evaluation.sweep import Sweep
-    from slepian_prt.transport.transfer import Job
+    from slepian_prt.files import check_folder
+    from slepian_prt.transport.transfer import TransportSettings
 
-    job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
+    job = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
     grouping = Settings(**options)
     grouping.check(job.bandlimit)
     check_methods(bases)
@@ -567,10 +567,10 @@ def sweep(
 
     Stopped or killed, the same command goes on from the settings that were finished.
     """
-    from slepian_prt.compression.archive import check_folder
     from slepian_prt.evaluation import sweep as sweeping
     from slepian_prt.evaluation.sweep_report import describe, write_sweep
-    from slepian_prt.transport.transfer import Job
+    from slepian_prt.files import check_folder
+    from slepian_prt.transport.transfer import TransportSettings
 
     axes = sweeping.Axes(
         _numbers(int, samples, "samples"),
@@ -581,7 +581,7 @@ def sweep(
         (None,) if bounces is None else _numbers(int, bounces, "bounces"),
     )
     axes.check()
-    job = Job(effects=effects, albedo=read_albedo(albedo), seed=seed)
+    job = TransportSettings(effects=effects, albedo=read_albedo(albedo), seed=seed)
     check_noise(noise)
     check_folder(output)
     maps = read_maps(environment, clamp_negative, rotate)
@@ -719,8 +719,9 @@ def read_albedo(text: str | None) -> list[float] | None:
 
 def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
     """The light prior that is named: 1/(l+1), or maps; None if there is none."""
-    from slepian_prt.compression.light_prior import FALLING, falling_prior, measured_prior
-    from slepian_prt.scene.environments import project_environment, read_environment
+    from slepian_prt.lighting.environment import read_environment
+    from slepian_prt.lighting.projection import project_environment
+    from slepian_prt.lighting.spectrum import FALLING, falling_prior, measured_prior
 
     if not given:
         return None
@@ -738,8 +739,8 @@ def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
 
 def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Any:
     """What a goal is about."""
-    from slepian_prt.budget.run import Light
-    from slepian_prt.compression.light_prior import FALLING
+    from slepian_prt.accuracy.run import Light
+    from slepian_prt.lighting.spectrum import FALLING
 
     if "" in light_prior or (FALLING in light_prior and len(light_prior) > 1):
         read_prior(tuple(light_prior), 0)  # says what is wrong
@@ -750,7 +751,7 @@ def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Any:
 
 def read_maps(paths: Sequence[str], clamp_negative: bool, rotate: float) -> list[Any]:
     """The environments that are named; what was mended in them is noted."""
-    from slepian_prt.scene.environments import check_names, read_environment
+    from slepian_prt.lighting.environment import check_names, read_environment
 
     check_names(paths)
     maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in paths]

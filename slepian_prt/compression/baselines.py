@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from slepian_prt.compression.bases import Candidate, LinearBasis
-from slepian_prt.compression.clusters import Clusters, enclosed
+from slepian_prt.compression.clustering import Clusters, enclosed
 from slepian_prt.compression.pilot import decorrelated
 from slepian_prt.compression.prediction import by_degree
 from slepian_prt.sphere.harmonics import real_sh

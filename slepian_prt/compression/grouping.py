@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.clusters import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
+from slepian_prt.compression.clustering import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
 from slepian_prt.compression.settings import Settings
-from slepian_prt.scene.meshes import Mesh
-from slepian_prt.transport.directions import SMALLEST_NET
-from slepian_prt.transport.transfer import Ready, Transfer
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.transport.directions import SMALLEST_SET
+from slepian_prt.transport.transfer import PlannedScene, Transfer
 from slepian_prt.transport.visibility import DirectTransfer
 
 
@@ -39,12 +39,12 @@ def grouped(settings: Settings, transfer: Transfer) -> Grouping:
     return _cluster(settings, transfer.mesh, axes, open_part)
 
 
-def surveyed(settings: Settings, ready: Ready) -> Grouping:
+def surveyed(settings: Settings, ready: PlannedScene) -> Grouping:
     """Clusters as asked, before transfer is there: after a quick look around if that takes one."""
     mesh = ready.scene.mesh
     axes, openness = mesh.normals, np.ones(len(mesh.positions), dtype=np.float32)
     if settings.group_by == "bent" or settings.occlusion_classes > 1:
-        quick = DirectTransfer(ready.mi, ready.scene, 1, SMALLEST_NET, ready.plan.shadowed, ready.job.seed)
+        quick = DirectTransfer(ready.scene, 1, SMALLEST_SET, ready.plan.shadowed, ready.job.seed)
         vectors, blocked = quick.of(np.arange(len(mesh.positions)))
         openness = 1.0 - blocked
         if settings.group_by == "bent":

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import slepian_prt
 from slepian_prt.compression.grouping import grouped
 from slepian_prt.compression.settings import Settings
 from slepian_prt.errors import UserError, check_terms
-from slepian_prt.evaluation.errors import relative_rms, seam
 from slepian_prt.evaluation.ladder import Rung, Stage, ladder
 from slepian_prt.evaluation.methods import DEFAULT_METHODS, Entry, check_methods, entries
+from slepian_prt.evaluation.metrics import relative_rms, seam
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
-from slepian_prt.relighting.picture import Camera, Picture, trace_camera
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.projection import project_environment
+from slepian_prt.relighting.pictures import Camera, Picture, trace_camera
 from slepian_prt.relighting.relight import negative_part, relight
-from slepian_prt.scene.environments import Environment, project_environment
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.scenes import Scene
+from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Job, Transfer
+from slepian_prt.transport.transfer import Transfer, TransportSettings
 
 DEFAULT_TERMS = (4, 9, 16, 25, 36)
 
@@ -120,8 +120,8 @@ def versions() -> dict[str, str]:
     """Versions of what a result depends on."""
     packages = ("mitsuba", "drjit", "numpy", "scipy")
     return {
-        "slepian_prt": slepian_prt.__version__,
-        **{name: importlib.metadata.version(name) for name in packages},
+        "slepian_prt": version("slepian_prt"),
+        **{name: version(name) for name in packages},
         "python": platform.python_version(),
     }
 
@@ -130,7 +130,7 @@ def compare(
     scene: str | Path,
     environments: Sequence[Environment],
     *,
-    job: Job | None = None,
+    job: TransportSettings | None = None,
     grouping: Settings | None = None,
     methods: Sequence[str] = DEFAULT_METHODS,
     terms: Sequence[int] = DEFAULT_TERMS,
@@ -163,7 +163,7 @@ def compare(
         raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
-    job, grouping = job or Job(), grouping or Settings()
+    job, grouping = job or TransportSettings(), grouping or Settings()
     check_methods(methods)
     bandlimit = int(job.bandlimit)
     size = num_coefficients(bandlimit)
@@ -182,11 +182,11 @@ def compare(
     clusters = made.clusters
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]
-    with open_scene(scene, albedo=job.albedo, view=job.view) as (mi, opened):
+    with open_scene(scene, albedo=job.albedo, view=job.view) as opened:
         status("camera")
-        camera = trace_camera(mi, opened, width)
+        camera = trace_camera(opened, width)
         views = [
-            _view(mi, opened, transfer, environment, camera, radiance, width, noise, status)
+            _view(opened, transfer, environment, camera, radiance, width, noise, status)
             for environment, radiance in zip(environments, full, strict=True)
         ]
     shown = min(wanted, key=lambda k: abs(k - 16))
@@ -219,7 +219,6 @@ def compare(
 
 
 def _view(
-    mi: Any,
     scene: Scene,
     transfer: Transfer,
     environment: Environment,
@@ -231,11 +230,11 @@ def _view(
 ) -> View:
     """References and the picture of full SH radiance, (V, 3), under one environment."""
     status(f"path-traced reference under {environment.name}")
-    reference = render_reference(mi, scene, environment, width=width, noise=noise, bounces=transfer.bounces)
+    reference = render_reference(scene, environment, width=width, noise=noise, bounces=transfer.bounces)
     reference = replace(reference, picture=camera.masked(reference.picture))
     status(f"reference at the vertices under {environment.name}")
     toward = transfer.view if transfer.toward_view else None
-    vertices = vertex_reference(mi, scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
+    vertices = vertex_reference(scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
     return View(environment, reference, vertices, camera.picture(vertices.radiance), camera.picture(full))
 
 

@@ -22,19 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.family import Family
+from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.grouping import Grouping, grouped
-from slepian_prt.compression.pipeline import compress
 from slepian_prt.compression.settings import Settings
-from slepian_prt.compression.work import Start
+from slepian_prt.compression.stream import compress
+from slepian_prt.compression.tolerance_sweep import ToleranceSweep
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import versions
-from slepian_prt.evaluation.errors import relative_rms
+from slepian_prt.evaluation.metrics import relative_rms
 from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
-from slepian_prt.scene.environments import Environment, project_environment
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.projection import project_environment
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Job, Ready, Transfer
+from slepian_prt.transport.transfer import PlannedScene, Transfer, TransportSettings
 
 # Vertices that errors are measured at, and those that transport is timed on at each bandlimit.
 REFERENCE_VERTICES = 4000
@@ -83,7 +84,7 @@ class Axes:
             if len(set(values)) < len(values):
                 raise UserError(f"{name} has a value twice: {', '.join(map(str, values))}")
         for samples, bandlimit, bounces in product(self.samples, self.bandlimits, self.bounces):
-            Job(bandlimit, samples, bounces=bounces)
+            TransportSettings(bandlimit, samples, bounces=bounces)
         for setting in self.settings():
             Settings(basis=setting.basis, tolerance=setting.tolerance, clusters=setting.clusters).check(
                 setting.bandlimit
@@ -296,7 +297,7 @@ def sweep(
     scene: str | Path,
     environments: Sequence[Environment],
     axes: Axes,
-    job: Job,
+    job: TransportSettings,
     *,
     noise: float = 0.005,
     journal: Path | None = None,
@@ -311,7 +312,7 @@ def sweep(
     scene : path
     environments : maps; without any, the light of a Mitsuba scene itself
     axes : Axes
-    job : Job
+    job : TransportSettings
         Of it the effects, albedo and seed count.
     noise : wanted relative RMS noise of the references
     journal : path
@@ -340,7 +341,7 @@ def sweep(
             tell(f"{len(found)} of {len(settings)} settings were measured before and are kept")
             advance(len(found), len(settings))
         begin = time.perf_counter()
-        ready.direct().of(np.flatnonzero(ready.scene.mesh.receivers)[:64])
+        ready.direct().of(np.flatnonzero(ready.scene.mesh.receivers.active)[:64])
         shared = {**ready.clock.seconds, "kernels": time.perf_counter() - begin}
         tell("references")
         measure = _Measure.made(ready, environments, noise, _most(axes.bounces))
@@ -377,9 +378,9 @@ def _most(bounces: Sequence[int | None]) -> int:
     return max(_MANY_BOUNCES if count is None else count for count in bounces)
 
 
-def _parts(ready: Ready, bandlimits: Sequence[int]) -> dict[int, tuple[float, float]]:
+def _parts(ready: PlannedScene, bandlimits: Sequence[int]) -> dict[int, tuple[float, float]]:
     """Time of transport at each bandlimit as a part of that at the highest, and its spread, on a sample of vertices."""
-    receivers = np.flatnonzero(ready.scene.mesh.receivers)
+    receivers = np.flatnonzero(ready.scene.mesh.receivers.active)
     some = receivers[:: max(1, receivers.size // _TIMED)]
     times: dict[int, list[float]] = {}
     for bandlimit in bandlimits:
@@ -416,16 +417,18 @@ class _Measure:
     # What the settings with the largest number of rays took, and what those with fewer may start from.
     _timed: dict[Setting, _Timed] = field(default_factory=dict, init=False, repr=False)
     # Those with fewer rays that differ in their tolerance only.
-    _family: list[tuple[Setting, Family]] = field(default_factory=list, init=False, repr=False)
+    _family: list[tuple[Setting, ToleranceSweep]] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
-    def made(cls, ready: Ready, environments: Sequence[Environment], noise: float, most_bounces: int) -> _Measure:
-        receivers = np.flatnonzero(ready.scene.mesh.receivers)
+    def made(
+        cls, ready: PlannedScene, environments: Sequence[Environment], noise: float, most_bounces: int
+    ) -> _Measure:
+        receivers = np.flatnonzero(ready.scene.mesh.receivers.active)
         rng = np.random.default_rng(ready.job.seed)
         vertices = np.sort(rng.choice(receivers, min(REFERENCE_VERTICES, receivers.size), replace=False))
         bounces = most_bounces if ready.plan.interreflection else 0
         references = tuple(
-            vertex_reference(ready.mi, ready.scene, environment, noise=noise, bounces=bounces, vertices=vertices)
+            vertex_reference(ready.scene, environment, noise=noise, bounces=bounces, vertices=vertices)
             for environment in environments
         )
         return cls(tuple(environments), vertices, references, ready.scene.mesh.albedo[vertices])
@@ -449,7 +452,7 @@ class _Measure:
             for light in lights:
                 operator.apply(light[None])
             seconds = (time.perf_counter() - prepared) / len(lights)
-            start = None if packed.coded is None else Start(packed.coded.tuning, turned)
+            start = None if packed.coded is None else WarmStart(packed.coded.tuning, turned)
             prepare = decoded - begin + prepared - rest
             timed = _Timed(packed.seconds["compress"], prepare, seconds, start)
             self._timed[alike] = timed
@@ -482,13 +485,13 @@ class _Measure:
         packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=grouping)
         return replace(packed, seconds={"compress": packed.seconds["compress"] + seconds})
 
-    def _family_of(self, setting: Setting, transfer: Transfer) -> Family:
+    def _family_of(self, setting: Setting, transfer: Transfer) -> ToleranceSweep:
         """Settings that follow each other and differ in their tolerance share bases and projections."""
         alike = replace(setting, tolerance=0.0)
         if not self._family or self._family[0][0] != alike:
             settings = Settings(basis=setting.basis, clusters=setting.clusters)
             grouping, _ = self._grouping(setting, transfer)
-            self._family[:] = [(alike, Family(_cut(transfer, setting.bandlimit), settings, grouping))]
+            self._family[:] = [(alike, ToleranceSweep(_cut(transfer, setting.bandlimit), settings, grouping))]
         return self._family[0][1]
 
     def _errors(self, vectors: NDArray, lights: Sequence[NDArray]) -> dict[str, float]:
@@ -510,7 +513,7 @@ class _Timed:
     compress: float
     prepare: float
     relight: float
-    start: Start | None
+    start: WarmStart | None
 
 
 def _cut(transfer: Transfer, bandlimit: int) -> Transfer:
@@ -527,7 +530,9 @@ class Journal:
     points : dict of Setting to Point
     """
 
-    def __init__(self, path: Path | None, ready: Ready, environments: Sequence[Environment], noise: float) -> None:
+    def __init__(
+        self, path: Path | None, ready: PlannedScene, environments: Sequence[Environment], noise: float
+    ) -> None:
         self._path = path
         self.points: dict[Setting, Point] = {}
         self._key = _fingerprint(ready, environments, noise)
@@ -560,7 +565,7 @@ class Journal:
             self._path.unlink(missing_ok=True)
 
 
-def _fingerprint(ready: Ready, environments: Sequence[Environment], noise: float) -> str:
+def _fingerprint(ready: PlannedScene, environments: Sequence[Environment], noise: float) -> str:
     """Of everything but the axes that a point depends on."""
     digest = hashlib.sha256()
     own = replace(ready.job, samples=1, bandlimit=0, bounces=None)
