@@ -101,7 +101,7 @@ def accuracy() -> None:
 def ladder() -> None:
     """The shipped scene: what each step from the path-traced picture to coded coefficients adds."""
     scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
-    found = compare(scene, [sky], job=TransportSettings(10, 1024), methods=("adapted",), terms=(16,), noise=0.005)
+    found = compare(scene, [sky], transport=TransportSettings(10, 1024), methods=("adapted",), terms=(16,), noise=0.005)
     write("ladder", ladder_plot(found.ladder))
 
 

@@ -71,7 +71,7 @@ def together(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 # What transport is asked for; the keywords of `Job`.
-job_options = together(
+transport_options = together(
     bandlimit_option, samples_option, effects_option, bounces_option, albedo_option, view_option, seed_option
 )
 
@@ -214,7 +214,7 @@ def spectrum(
     type=click.Path(),
     help="Map that the goal is about; may be given several times.  [default: the light of the .xml scene]",
 )
-@job_options
+@transport_options
 @compression_options
 @grouping_options
 @click.pass_context
@@ -237,17 +237,19 @@ def precompute(
     """
     from slepian_prt import files
     from slepian_prt.accuracy.goal import Goal
-    from slepian_prt.compression.settings import Settings
+    from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.compression.stream import precompute_compressed
     from slepian_prt.transport.transfer import TransportSettings
 
     started = time.perf_counter()
-    job = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
+    transport = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
     aimed = max_error is not None or max_seconds is not None
     if environment and not aimed:
         raise UserError("--environment says what --max-error and --max-seconds are about; give one of them too")
-    settings = Settings(**options, light_prior=None if aimed else read_prior(light_prior, job.bandlimit))
-    settings.check(job.bandlimit)
+    settings = CompressionSettings(
+        **options, light_prior=None if aimed else read_prior(light_prior, transport.bandlimit)
+    )
+    settings.check(transport.bandlimit)
     files.check_writable(output, scene)
     if output and Path(output).suffix.lower() != ".prt":
         raise UserError(f"{output}: transfer files end in .prt; name the output so")
@@ -256,18 +258,18 @@ def precompute(
         goal = Goal(
             max_error,
             max_seconds,
-            samples=job.samples if given["samples"] else None,
-            bandlimit=job.bandlimit if given["bandlimit"] else None,
+            samples=transport.samples if given["samples"] else None,
+            bandlimit=transport.bandlimit if given["bandlimit"] else None,
         )
         goal.check()
-        packed = _precompute_within(scene, goal, read_light(environment, light_prior), settings, job, started)
+        packed = _precompute_within(scene, goal, read_light(environment, light_prior), settings, transport, started)
         packed.save(output)
         click.echo(f"{output}: {_described(packed)}; {time.perf_counter() - started:.1f} s in all")
         return
-    with progress("transport", "vertices") as (advance, tell):
-        packed = precompute_compressed(scene, settings, job, on_plan=print_plan, advance=advance, tell=tell)
-    if job.bounces is not None and packed.bounces < job.bounces:
-        note(f"--bounces {job.bounces} has no effect: no light between surfaces is simulated (see the plan)")
+    with progress("transport", "vertices") as (advance, report):
+        packed = precompute_compressed(scene, settings, transport, on_plan=print_plan, advance=advance, report=report)
+    if transport.bounces is not None and packed.bounces < transport.bounces:
+        note(f"--bounces {transport.bounces} has no effect: no light between surfaces is simulated (see the plan)")
     packed.save(output)
     error = settings.expected_error(packed.expected)
     if not settings.by_number and error > 1.01 * settings.asked:
@@ -290,22 +292,22 @@ def _described(packed: Any) -> str:
     )
 
 
-def _precompute_within(scene: str, goal: Any, light: Any, settings: Any, job: Any, started: float) -> Any:
+def _precompute_within(scene: str, goal: Any, light: Any, settings: Any, transport: Any, started: float) -> Any:
     """Run towards a goal and tell what was foreseen and what came of it."""
     from slepian_prt.accuracy.run import precompute_within
 
-    with progress("transport", "vertices") as (advance, tell):
+    with progress("transport", "vertices") as (advance, report):
         found = precompute_within(
             scene,
             goal,
             light,
             settings,
-            job,
+            transport,
             started=started,
             on_plan=print_plan,
             on_choice=print_choices,
             advance=advance,
-            tell=tell,
+            report=report,
         )
     checked = found.verification
     for name, error, predicted, noise in zip(
@@ -447,7 +449,7 @@ def relight(
 @click.option("-o", "--output", required=True, type=click.Path(), help="Folder for report.html, results.json, figures.")
 @click.option("--basis", "bases", multiple=True, help="Only these methods; may be given several times.")
 @click.option("--terms", "terms", multiple=True, type=int, help="Numbers of functions; may be given several times.")
-@job_options
+@transport_options
 @grouping_options
 @rotate_option
 @clamp_option
@@ -477,42 +479,42 @@ def compare(
 
     The light of adapted+light is the mean spectrum of the maps.
     """
-    from slepian_prt.compression.settings import Settings
-    from slepian_prt.evaluation import report
+    from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.evaluation.compare import DEFAULT_TERMS
     from slepian_prt.evaluation.compare import compare as run
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
+    from slepian_prt.evaluation.report import write_report
     from slepian_prt.evaluation.sweep import Sweep
     from slepian_prt.files import check_folder
     from slepian_prt.transport.transfer import TransportSettings
 
-    job = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
-    grouping = Settings(**options)
-    grouping.check(job.bandlimit)
+    transport = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
+    grouping = CompressionSettings(**options)
+    grouping.check(transport.bandlimit)
     check_methods(bases)
     for k in terms:
-        Settings(terms=k).check(job.bandlimit)
+        CompressionSettings(terms=k).check(transport.bandlimit)
     check_width(width)
     check_folder(output)
     found = None if swept is None else Sweep.read(swept)
     if found is not None and Path(found.source).name != Path(scene).name:
         raise UserError(f"{swept}: is a sweep of {found.source}, not of {scene}; name that of this scene")
     maps = read_maps(environment, clamp_negative, rotate)
-    with progress("transport", "vertices") as (advance, tell):
+    with progress("transport", "vertices") as (advance, report):
         comparison = run(
             scene,
             maps,
-            job=job,
+            transport=transport,
             grouping=grouping,
             methods=bases or DEFAULT_METHODS,
             terms=terms or DEFAULT_TERMS,
             width=width,
             noise=noise,
-            status=tell,
+            report=report,
             on_plan=print_plan,
             advance=advance,
         )
-    page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), found)
+    page = write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), found)
     lights = f"{len(comparison.views)} environment{'s' if len(comparison.views) > 1 else ''}"
     click.echo(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
 
@@ -581,14 +583,22 @@ def sweep(
         (None,) if bounces is None else _numbers(int, bounces, "bounces"),
     )
     axes.check()
-    job = TransportSettings(effects=effects, albedo=read_albedo(albedo), seed=seed)
+    transport = TransportSettings(effects=effects, albedo=read_albedo(albedo), seed=seed)
     check_noise(noise)
     check_folder(output)
     maps = read_maps(environment, clamp_negative, rotate)
     journal = Path(output) / "sweep.partial.jsonl"
-    with progress("settings", "settings") as (advance, tell):
+    with progress("settings", "settings") as (advance, report):
         found = sweeping.sweep(
-            scene, maps, axes, job, noise=noise, journal=journal, tell=tell, advance=advance, on_plan=print_plan
+            scene,
+            maps,
+            axes,
+            transport,
+            noise=noise,
+            journal=journal,
+            report=report,
+            advance=advance,
+            on_plan=print_plan,
         )
     found = replace(found, command="slepian-prt " + shlex.join(sys.argv[1:]))
     page = write_sweep(found, output)
@@ -644,13 +654,13 @@ def progress(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], None],
                 task = bar.add_task(name, total=total)
             bar.advance(task, done)
 
-        def tell(what: str) -> None:
+        def report(what: str) -> None:
             if console.is_terminal:
                 if task is not None:
                     bar.update(task, visible=False)
                 console.print(Text(what, style="dim"))
 
-        yield advance, tell
+        yield advance, report
 
 
 def print_plan(effects: Sequence[Any]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.common import DRAGONS, data_folder, line, median_seconds
 
 import slepian_prt as sp
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import precompute_compressed
 from slepian_prt.lighting.environment import read_environment
 from slepian_prt.lighting.texel_projection import clenshaw_curtis
@@ -26,26 +26,33 @@ def relighting() -> None:
     _project(environments / "studio.exr")
     _relight(
         "skull, L = 10, K = 16",
-        precompute_compressed(str(skull), Settings(terms=16), TransportSettings(10, 1024)),
+        precompute_compressed(str(skull), CompressionSettings(terms=16), TransportSettings(10, 1024)),
         studio,
     )
     _relight(
-        "skull, L = 10, default", precompute_compressed(str(skull), Settings(), TransportSettings(10, 1024)), studio
+        "skull, L = 10, default",
+        precompute_compressed(str(skull), CompressionSettings(), TransportSettings(10, 1024)),
+        studio,
     )
     _relight(
         "skull, L = 20, K = 16",
-        precompute_compressed(str(skull), Settings(terms=16), TransportSettings(20, 1024)),
+        precompute_compressed(str(skull), CompressionSettings(terms=16), TransportSettings(20, 1024)),
         studio,
     )
     _relight(
-        "skull, L = 20, default", precompute_compressed(str(skull), Settings(), TransportSettings(20, 1024)), studio
+        "skull, L = 20, default",
+        precompute_compressed(str(skull), CompressionSettings(), TransportSettings(20, 1024)),
+        studio,
     )
     _integrator(str(skull), studio)
     dragon = DRAGONS / "dragon_vrip.ply"
     if not dragon.is_file():
         line("dragon", "not here, left out; scripts/fetch_dragons fetches it")
         return
-    for settings, name in ((Settings(terms=16), "K = 16"), (Settings(tolerance=0.05), "tolerance 0.05")):
+    for settings, name in (
+        (CompressionSettings(terms=16), "K = 16"),
+        (CompressionSettings(tolerance=0.05), "tolerance 0.05"),
+    ):
         packed = precompute_compressed(str(dragon), settings, TransportSettings(20, 1024))
         _relight(f"dragon of {len(packed.mesh.positions):,} vertices, L = 20, {name}", packed, studio)
 
@@ -105,7 +112,7 @@ def _integrator(mesh: str, environment: Path) -> None:
     mi.set_variant("llvm_ad_rgb")
     sp.register()
     with tempfile.TemporaryDirectory() as folder:
-        precompute_compressed(mesh, Settings(), TransportSettings(10, 1024)).save(Path(folder) / "file.prt")
+        precompute_compressed(mesh, CompressionSettings(), TransportSettings(10, 1024)).save(Path(folder) / "file.prt")
         scene = mi.load_dict({
             "type": "scene", "emitter": {"type": "envmap", "filename": str(environment)},
             "skull": {"type": "ply", "filename": mesh},

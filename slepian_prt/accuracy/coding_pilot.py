@@ -17,7 +17,7 @@ from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.encoder import Encoder, Trial, WarmStart
 from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.pilot import pilot_vertices
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.scene.receivers import morton
 from slepian_prt.transport.transfer import PlannedScene
@@ -74,9 +74,9 @@ class CodingPilot:
 
     Parameters
     ----------
-    ready : PlannedScene
+    planned : PlannedScene
     look : TransportTrial
-    settings : Settings
+    settings : CompressionSettings
         All but tolerance and light prior.
     grouping : Grouping
     prior : callable
@@ -86,24 +86,24 @@ class CodingPilot:
 
     def __init__(
         self,
-        ready: PlannedScene,
+        planned: PlannedScene,
         look: TransportTrial,
-        settings: Settings,
+        settings: CompressionSettings,
         grouping: Grouping,
         prior: Prior,
         yardstick: ErrorMetric,
     ) -> None:
-        self._yardstick, self._count = yardstick, len(ready.scene.mesh.positions)
+        self._yardstick, self._count = yardstick, len(planned.scene.mesh.positions)
         begin = time.perf_counter()
-        mesh = ready.scene.mesh if look.transfer is None else look.transfer.mesh
+        mesh = planned.scene.mesh if look.transfer is None else look.transfer.mesh
         toward_view = look.transfer is not None and look.transfer.toward_view
         settings = replace(settings, tolerance=0.05, light_prior=prior(look.bandlimit))
-        self._work = Encoder(settings, mesh, grouping, look.bandlimit, ready.job.seed, toward_view=toward_view)
+        self._work = Encoder(settings, mesh, grouping, look.bandlimit, planned.settings.seed, toward_view=toward_view)
         sizes = grouping.clusters.sizes
-        self._caps = np.random.default_rng(ready.job.seed).permutation(np.flatnonzero(sizes))[:_TRIED].tolist()
-        self._parts = _neighbours(ready.scene.traced_positions, grouping.clusters, self._caps)
+        self._caps = np.random.default_rng(planned.settings.seed).permutation(np.flatnonzero(sizes))[:_TRIED].tolist()
+        self._parts = _neighbours(planned.scene.traced_positions, grouping.clusters, self._caps)
         self._vertices = np.sort(np.concatenate([self._parts.members[c] for c in self._caps]))
-        of_bases = pilot_vertices(grouping.clusters, grouping.axes, ready.job.seed)
+        of_bases = pilot_vertices(grouping.clusters, grouping.axes, planned.settings.seed)
         self._apart: NDArray[np.float32] | None = None  # from other transport
         if look.transfer is not None:
             vectors = look.transfer.vectors
@@ -112,7 +112,9 @@ class CodingPilot:
             assert look.source is not None
             found = look.source.of(np.concatenate([of_bases, self._vertices]))[0][:, None, :]
             of_bases_vectors, self._vectors = found[: of_bases.size], found[of_bases.size :]
-            beside = look.source.other(ready.job.seed + 1, max(look.bandlimit, min(2 * look.bandlimit + 4, _BESIDE)))
+            beside = look.source.other(
+                planned.settings.seed + 1, max(look.bandlimit, min(2 * look.bandlimit + 4, _BESIDE))
+            )
             self._apart = -beside.of(self._vertices)[0][:, None, :]
             self._apart[:, :, : self._vectors.shape[2]] += self._vectors
         self._work.learn(lambda _: of_bases_vectors)

@@ -93,15 +93,17 @@ class MapMetric:
     albedo: NDArray[np.float64]
 
     @classmethod
-    def of(cls, ready: PlannedScene, environments: Sequence[Environment], vertices: NDArray, noise: float) -> MapMetric:
+    def of(
+        cls, planned: PlannedScene, environments: Sequence[Environment], vertices: NDArray, noise: float
+    ) -> MapMetric:
         """References with at most so much relative noise, if that can be had."""
-        view = ready.toward
-        bounces = _MANY_BOUNCES if ready.plan.interreflection else 0
-        if ready.plan.interreflection and ready.job.bounces is not None:
-            bounces = int(ready.job.bounces)
+        view = planned.toward
+        bounces = _MANY_BOUNCES if planned.plan.interreflection else 0
+        if planned.plan.interreflection and planned.settings.bounces is not None:
+            bounces = int(planned.settings.bounces)
         references = tuple(
             vertex_reference(
-                ready.scene,
+                planned.scene,
                 environment,
                 noise=noise,
                 largest_samples=_MOST_SAMPLES,
@@ -112,7 +114,7 @@ class MapMetric:
             )
             for environment in environments
         )
-        albedo = np.ones((len(vertices), 3)) if view is not None else ready.scene.mesh.albedo[vertices]
+        albedo = np.ones((len(vertices), 3)) if view is not None else planned.scene.mesh.albedo[vertices]
         return cls(tuple(environments), vertices, references, albedo.astype(np.float64))
 
     def part(self, rows: slice) -> MapMetric:

@@ -26,7 +26,7 @@ from slepian_prt.accuracy.transport_pilot import (
 )
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping, grouped, surveyed
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compressed, streamed
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
@@ -132,14 +132,14 @@ def precompute_within(
     scene: str | Path | Mesh,
     goal: Goal,
     light: Light,
-    settings: Settings,
-    job: TransportSettings,
+    settings: CompressionSettings,
+    transport: TransportSettings,
     *,
     started: float | None = None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     on_choice: Callable[[Sequence[Choice], Choice, float], None] = lambda _choices, _chosen, _rest: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
-    tell: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> BudgetedResult:
     """Transfer of a scene with rays, bandlimit and tolerance chosen for a wanted error or time.
 
@@ -151,14 +151,14 @@ def precompute_within(
     goal : Goal
     light : Light
         Without maps and spectrum, the light of the scene itself.
-    settings : Settings
+    settings : CompressionSettings
         Of them basis, clusters, grouping and refinement count.
-    job : TransportSettings
+    transport : TransportSettings
         Of it effects, bounces, albedo, view and seed.
     started : when time begins to count, by `time.perf_counter`; by default now
     on_plan : as of `precompute`
     on_choice : given what could be chosen, the choice, and the seconds that everything else takes
-    advance, tell : as of `precompute_compressed`
+    advance, report : as of `precompute_compressed`
 
     Raises
     ------
@@ -168,12 +168,12 @@ def precompute_within(
     goal.check()
     started = time.perf_counter() if started is None else started
     _check(settings)
-    with job.opened(scene) as ready:
+    with transport.opened(scene) as planned:
         if not light.environments and not light.spectrum:
-            if ready.scene.environment is None:
+            if planned.scene.environment is None:
                 raise UserError("no light to measure errors under: name a map with --environment, or a --light-prior")
-            light = replace(light, environments=(ready.scene.environment,))
-        task = _Task(ready, goal, light, settings, tell)
+            light = replace(light, environments=(planned.scene.environment,))
+        task = _Task(planned, goal, light, settings, report)
         tightened = 1.0
         for repeat in range(_REPEATS + 1):
             chooser = task.chooser(started, repeat)
@@ -181,7 +181,7 @@ def precompute_within(
             rest = chooser.spent
             on_choice(chooser.choices, chosen, rest)
             packed = task.done(chosen, on_plan if repeat == 0 else (lambda _: None), advance)
-            tell("verification")
+            report("verification")
             error, noise = task.verified(packed)
             seconds = time.perf_counter() - started
             wanted = goal.error
@@ -189,7 +189,7 @@ def precompute_within(
             if met or goal.seconds is not None or repeat == _REPEATS or not task.has_others():
                 break
             assert wanted is not None
-            tell(f"{float(error.max()):.2%} on vertices held out; once more, aimed lower")
+            report(f"{float(error.max()):.2%} on vertices held out; once more, aimed lower")
             tightened *= _AIMED_LOWER * wanted / float(error.max())
     names = task.yardstick.names
     checked = Verification(
@@ -199,7 +199,7 @@ def precompute_within(
     return BudgetedResult(packed, tuple(chooser.choices), chosen, checked)
 
 
-def _check(settings: Settings) -> None:
+def _check(settings: CompressionSettings) -> None:
     """Raise UserError if a goal leaves no room for these."""
     if settings.needs_all_vectors or settings.basis in ("slepian", "direct", "none"):
         raise UserError(
@@ -218,9 +218,14 @@ class _Task:
     """One goal on one scene."""
 
     def __init__(
-        self, ready: PlannedScene, goal: Goal, light: Light, settings: Settings, tell: Callable[[str], None]
+        self,
+        planned: PlannedScene,
+        goal: Goal,
+        light: Light,
+        settings: CompressionSettings,
+        report: Callable[[str], None],
     ) -> None:
-        self.ready, self.goal, self.light, self.settings, self._tell = ready, goal, light, settings, tell
+        self.planned, self.goal, self.light, self.settings, self._report = planned, goal, light, settings, report
         self.yardstick: ErrorMetric
         self.held_out: ErrorMetric
         self._known: ErrorMetric
@@ -231,9 +236,9 @@ class _Task:
     def chooser(self, started: float, repeat: int) -> Chooser:
         """With a pilot of its own."""
         size = LARGE_PILOT if (self.goal.error or 1.0) <= SMALL_ERROR else PILOT
-        self._tell("reference of the pilot")
+        self._report("reference of the pilot")
         if repeat == 0:
-            chosen, held_out = map(self._open, pilot_vertices(self.ready, self.ready.job.seed, size))
+            chosen, held_out = map(self._open, pilot_vertices(self.planned, self.planned.settings.seed, size))
             self._known = self._measure(np.concatenate([chosen, held_out]))
             self.yardstick = self._known.part(slice(chosen.size))
             self.held_out = self._known.part(slice(chosen.size, None))
@@ -243,38 +248,39 @@ class _Task:
             self.held_out = self._measure(self._others)
         samples = SAMPLES if self.goal.samples is None else (self.goal.samples,)
         bandlimits = BANDLIMITS if self.goal.bandlimit is None else (self.goal.bandlimit,)
-        pilot = TransportPilot(self.ready, self.yardstick, self.held_out.vertices, samples, bandlimits, self._tell)
+        pilot = TransportPilot(self.planned, self.yardstick, self.held_out.vertices, samples, bandlimits, self._report)
         return Chooser(pilot, self._coding, self.goal, started)
 
     def has_others(self) -> bool:
         """Whether there are vertices, enough to verify on, that have not been looked at."""
-        first, second = pilot_vertices(self.ready, self.ready.job.seed + 1, PILOT, self._known.vertices)
+        first, second = pilot_vertices(self.planned, self.planned.settings.seed + 1, PILOT, self._known.vertices)
         self._others = self._open(np.union1d(first, second))[:: max(1, (2 * first.size) // PILOT)]
         return bool(self._others.size >= _ENOUGH)
 
     def _measure(self, vertices: NDArray) -> ErrorMetric:
         noise = _USUAL_NOISE if self.goal.error is None else _NOISE_PART * self.goal.error
         if self.light.environments:
-            return MapMetric.of(self.ready, self.light.environments, vertices, noise)
-        if not self.ready.by_blocks:
+            return MapMetric.of(self.planned, self.light.environments, vertices, noise)
+        if not self.planned.by_blocks:
             raise UserError("a goal for light of a spectrum needs direct light only; name maps with --environment")
         bandlimit = _SPECTRUM_BANDLIMIT if self.light.maps else _FALLING_BANDLIMIT
-        job = replace(self.ready.job, samples=_SPECTRUM_SAMPLES, bandlimit=bandlimit)
+        transport = replace(self.planned.settings, samples=_SPECTRUM_SAMPLES, bandlimit=bandlimit)
         first, second = (
-            self.ready.asked(replace(job, seed=job.seed + 1 + half)).direct().of(vertices)[0] for half in (0, 1)
+            self.planned.asked(replace(transport, seed=transport.seed + 1 + half)).direct().of(vertices)[0]
+            for half in (0, 1)
         )
         prior = self.light.prior(bandlimit)
-        return SpectrumMetric.of(prior, vertices, (first, second), self.ready.scene.mesh.normals[vertices])
+        return SpectrumMetric.of(prior, vertices, (first, second), self.planned.scene.mesh.normals[vertices])
 
     def _open(self, vertices: NDArray) -> NDArray[np.int64]:
         """Vertices without those inside other geometry, which borrow their transfer from neighbours.
 
         Under maps they show by being black in the reference.
         """
-        if self.light.environments or not self.ready.by_blocks or vertices.size == 0:
+        if self.light.environments or not self.planned.by_blocks or vertices.size == 0:
             return vertices
-        job = replace(self.ready.job, samples=_SURVEY_SAMPLES, bandlimit=1)
-        return vertices[self.ready.asked(job).direct().of(vertices)[1] < 1.0]
+        transport = replace(self.planned.settings, samples=_SURVEY_SAMPLES, bandlimit=1)
+        return vertices[self.planned.asked(transport).direct().of(vertices)[1] < 1.0]
 
     def _prior(self, bandlimit: int) -> LightPrior:
         if bandlimit not in self._priors:
@@ -282,29 +288,29 @@ class _Task:
         return self._priors[bandlimit]
 
     def _coding(self, look: TransportTrial) -> CodingPilot:
-        self._tell(f"bases and caps on trial, {look.samples} rays, L = {look.bandlimit}")
+        self._report(f"bases and caps on trial, {look.samples} rays, L = {look.bandlimit}")
         if look.transfer is not None:
             grouping = grouped(self.settings, look.transfer)
         else:
             if not self._groupings:
-                self._groupings.append(surveyed(self.settings, self.ready))
+                self._groupings.append(surveyed(self.settings, self.planned))
             grouping = self._groupings[0]
-        return CodingPilot(self.ready, look, self.settings, grouping, self._prior, self.yardstick)
+        return CodingPilot(self.planned, look, self.settings, grouping, self._prior, self.yardstick)
 
     def done(
         self, chosen: Choice, on_plan: Callable[[tuple[Effect, ...]], None], advance: Callable[[int, int], None]
     ) -> CompressedTransfer:
         """The whole mesh."""
-        self.ready.clock.stop("pilot")
-        ready = self.ready.asked(replace(self.ready.job, samples=chosen.samples, bandlimit=chosen.bandlimit))
-        on_plan(ready.plan.effects)
+        self.planned.clock.stop("pilot")
+        planned = self.planned.asked(replace(self.planned.settings, samples=chosen.samples, bandlimit=chosen.bandlimit))
+        on_plan(planned.plan.effects)
         if chosen.look.transfer is not None:
             transfer, started = chosen.look.transfer, time.perf_counter()
-            return compressed(transfer, chosen.coded.work, self._tell, started, self._review(chosen))
+            return compressed(transfer, chosen.coded.work, self._report, started, self._review(chosen))
         assert chosen.look.source is not None
         work = chosen.coded.work
-        work.keeps = work.bases[0].count * len(ready.scene.mesh.positions) <= _KEPT
-        return streamed(ready, chosen.look.source, work, advance, self._tell, self._review(chosen))
+        work.keeps = work.bases[0].count * len(planned.scene.mesh.positions) <= _KEPT
+        return streamed(planned, chosen.look.source, work, advance, self._report, self._review(chosen))
 
     def _review(self, chosen: Choice) -> Callable[[CompressedTransfer], float | None]:
         """Whether the vertices that were chosen by have the error that was aimed at; those held out are not looked at.

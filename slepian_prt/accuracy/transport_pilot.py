@@ -89,18 +89,18 @@ class TransportTrial:
 
 
 def pilot_vertices(
-    ready: PlannedScene, seed: int, size: int = PILOT, known: NDArray | None = None
+    planned: PlannedScene, seed: int, size: int = PILOT, known: NDArray | None = None
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Vertices to choose by and others to verify on, one of each from every part of the mesh, at random.
 
     Without those that are ``known``; both are empty if there are no others.
     """
-    receivers = np.flatnonzero(ready.scene.mesh.receivers.active)
+    receivers = np.flatnonzero(planned.scene.mesh.receivers.active)
     if known is not None:
         receivers = np.setdiff1d(receivers, known)
     if receivers.size < 2:
         return receivers, receivers
-    order = receivers[np.argsort(morton(ready.scene.traced_positions[receivers]), kind="stable")]
+    order = receivers[np.argsort(morton(planned.scene.traced_positions[receivers]), kind="stable")]
     parts = min(size, order.size // 2)
     rng = np.random.default_rng(seed)
     bounds = np.linspace(0, order.size, parts + 1).astype(np.int64)
@@ -116,25 +116,25 @@ class TransportPilot:
 
     Parameters
     ----------
-    ready : PlannedScene
+    planned : PlannedScene
     yardstick : ErrorMetric
     timed : (n,)
         Vertices that are traced beside those of the yardstick, for the time.
     samples, bandlimits : tuple of int
         What may be chosen.
-    tell : told what is looked at
+    report : told what is looked at
     """
 
     def __init__(
         self,
-        ready: PlannedScene,
+        planned: PlannedScene,
         yardstick: ErrorMetric,
         timed: NDArray,
         samples: tuple[int, ...],
         bandlimits: tuple[int, ...],
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
-        self.ready, self.yardstick, self._tell = ready, yardstick, tell
+        self.planned, self.yardstick, self._report = planned, yardstick, report
         self.samples, self.bandlimits = samples, bandlimits
         self._timed = np.concatenate([yardstick.vertices, timed])
         self._looks: dict[int, TransportTrial] = {}  # by number of rays, the one to the highest bandlimit
@@ -149,8 +149,10 @@ class TransportPilot:
         held = self._held.get(samples)
         if held is not None and held.bandlimit >= bandlimit:
             return held.cut(bandlimit)
-        self._tell(f"pilot, {samples} rays, L = {bandlimit}")
-        found = self._by_blocks(samples, bandlimit, twice) if self.ready.by_blocks else self._whole(samples, bandlimit)
+        self._report(f"pilot, {samples} rays, L = {bandlimit}")
+        found = (
+            self._by_blocks(samples, bandlimit, twice) if self.planned.by_blocks else self._whole(samples, bandlimit)
+        )
         known = self._looks.get(samples)
         if known is None or known.bandlimit < bandlimit or (known.bandlimit == bandlimit and known.noise is None):
             self._looks[samples] = replace(found, source=None, transfer=None)
@@ -160,25 +162,25 @@ class TransportPilot:
         return found
 
     def _by_blocks(self, samples: int, bandlimit: int, twice: bool) -> TransportTrial:
-        ready = self.ready
+        planned = self.planned
         begin = time.perf_counter()
         source = self.source(samples, bandlimit)
         source.of(self._timed[:64])  # compiles, and makes the tables
         prepared = time.perf_counter()
         vectors = source.of(self._timed)[0]
         took = time.perf_counter() - prepared
-        count = len(ready.scene.mesh.positions)
+        count = len(planned.scene.mesh.positions)
         seconds = took * count / self._timed.size * (_SCATTERED if count > self._timed.size else 1.0)
         chosen = self.yardstick.vertices
         own, noise = vectors[: chosen.size, None, :], None
         if twice:
-            other = source.other(ready.job.seed + 1, bandlimit).of(chosen)[0][:, None, :]
+            other = source.other(planned.settings.seed + 1, bandlimit).of(chosen)[0][:, None, :]
             noise = 0.5 * self.yardstick.apart(own, other)
         return TransportTrial(samples, bandlimit, self.yardstick.errors(own), noise, seconds + prepared - begin, source)
 
     def _whole(self, samples: int, bandlimit: int) -> TransportTrial:
         begin = time.perf_counter()
-        asked = self.ready.asked(replace(self.ready.job, samples=samples, bandlimit=bandlimit))
+        asked = self.planned.asked(replace(self.planned.settings, samples=samples, bandlimit=bandlimit))
         transfer = asked.transfer()
         seconds = time.perf_counter() - begin
         error = self.yardstick.errors(transfer.vectors[self.yardstick.vertices])
@@ -186,18 +188,18 @@ class TransportPilot:
 
     def source(self, samples: int, bandlimit: int) -> DirectTransfer:
         """What traces so many rays, as the whole run would."""
-        ready = self.ready
-        nodes = ready.survey.nodes(samples)
-        return DirectTransfer(ready.scene, bandlimit, nodes, ready.plan.shadowed, ready.job.seed)
+        planned = self.planned
+        nodes = planned.survey.nodes(samples)
+        return DirectTransfer(planned.scene, bandlimit, nodes, planned.plan.shadowed, planned.settings.seed)
 
     # --- Foreseeing --------------------------------------------------------------------------------------------------
 
     def _model(self, samples: int, bandlimit: int) -> float:
-        nodes, size = self.ready.survey.nodes(samples), num_coefficients(bandlimit)
-        count = self.ready.plan.shadowed.size
+        nodes, size = self.planned.survey.nodes(samples), num_coefficients(bandlimit)
+        count = self.planned.plan.shadowed.size
         vertex = _ALPHA * samples + _BETA * size + _GAMMA * nodes * size
         tables = _DELTA * nodes * size if count else 0.0
-        return 1e-6 * (vertex * count + _BETA * size * len(self.ready.scene.mesh.positions) + tables) + 1e-3
+        return 1e-6 * (vertex * count + _BETA * size * len(self.planned.scene.mesh.positions) + tables) + 1e-3
 
     def seconds(self, samples: int, bandlimit: int) -> float:
         """Of transport of the whole mesh, roughly; none if that is there."""
@@ -208,7 +210,7 @@ class TransportPilot:
 
     def fits(self, samples: int, bandlimit: int) -> bool:
         """Whether the tables of the net can be held."""
-        return 384.0 * self.ready.survey.nodes(samples) * num_coefficients(bandlimit) <= _LARGEST_TABLE
+        return 384.0 * self.planned.survey.nodes(samples) * num_coefficients(bandlimit) <= _LARGEST_TABLE
 
     @property
     def _finest(self) -> TransportTrial:
@@ -252,7 +254,7 @@ class TransportPilot:
             * _CODING
             * min(max(self._pace, 1.0), _SLOWEST)
             * num_coefficients(bandlimit)
-            * len(self.ready.scene.mesh.positions)
+            * len(self.planned.scene.mesh.positions)
         )
         return self.seconds(samples, bandlimit) + coding
 
@@ -263,7 +265,7 @@ class TransportPilot:
         more than ``seconds`` in the whole run.
         """
         lowest = self._first_bandlimit()
-        for samples in self.samples[:3:2] if self.ready.by_blocks else self.samples[:1]:
+        for samples in self.samples[:3:2] if self.planned.by_blocks else self.samples[:1]:
             if samples not in self._looks:
                 self.look(samples, lowest, twice=True)
         while not self.feasible(target, seconds):
@@ -291,11 +293,11 @@ class TransportPilot:
 
     def _cost(self, samples: int, bandlimit: int) -> float:
         """Seconds to look."""
-        if not self.ready.by_blocks:
+        if not self.planned.by_blocks:
             return self.seconds(samples, bandlimit)
-        nodes, size = self.ready.survey.nodes(samples), num_coefficients(bandlimit)
+        nodes, size = self.planned.survey.nodes(samples), num_coefficients(bandlimit)
         tables = 1e-6 * _DELTA * nodes * size
-        part = min(1.0, self._timed.size / len(self.ready.scene.mesh.positions))
+        part = min(1.0, self._timed.size / len(self.planned.scene.mesh.positions))
         return self._pace * (tables + part * self._model(samples, bandlimit))
 
     def _first_bandlimit(self) -> int:

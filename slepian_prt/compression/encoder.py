@@ -25,7 +25,7 @@ from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.pilot import Pilot, channel_mixing, decorrelated, learn, pilot_vertices
 from slepian_prt.compression.prediction import Expectation, by_degree
 from slepian_prt.compression.refinement import refine
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.lighting.spectrum import light_power
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
@@ -130,7 +130,7 @@ class Encoder:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: CompressionSettings,
         mesh: Mesh,
         grouping: Grouping,
         bandlimit: int,

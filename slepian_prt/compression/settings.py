@@ -26,7 +26,7 @@ LARGEST_CLASSES = 16
 
 
 @dataclass(frozen=True)
-class Settings:
+class CompressionSettings:
     """How to compress.
 
     Attributes

@@ -24,7 +24,7 @@ from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import Encoder
 from slepian_prt.compression.grouping import Grouping, grouped, surveyed
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
@@ -49,7 +49,7 @@ def compress(
     basis: str = "adapted",
     *,
     clusters: int | Clusters | Grouping | None = None,
-    tell: Tell = lambda _: None,
+    report: Tell = lambda _: None,
     **options: Any,
 ) -> CompressedTransfer:
     """Cluster, project, truncate and code transfer vectors.
@@ -59,10 +59,10 @@ def compress(
     transfer : Transfer
     basis : str
     clusters : int, or Clusters of the transfer's own axes, or a Grouping, made before
-    tell : callable
+    report : callable
         Told what is being done.
     **options
-        The other attributes of `Settings`: tolerance, terms, truncate, epsilon, group_by, occlusion_classes,
+        The other attributes of `CompressionSettings`: tolerance, terms, truncate, epsilon, group_by, occlusion_classes,
         light_prior, refine, coding.
 
     Raises
@@ -74,13 +74,13 @@ def compress(
         clusters = Grouping(clusters, transfer.axes)
     if not isinstance(clusters, Grouping) and clusters is not None:
         options["clusters"] = clusters
-    settings = Settings(basis=basis, **options)
+    settings = CompressionSettings(basis=basis, **options)
     settings.check(transfer.bandlimit)
     started = time.perf_counter()
     grouping = clusters if isinstance(clusters, Grouping) else grouped(settings, transfer)
     if settings.basis == "cpca":
         terms = settings.terms or USUAL_TERMS
-        iterated = iterate_clusters(grouping.clusters, transfer.axes, transfer.vectors, terms, tell)
+        iterated = iterate_clusters(grouping.clusters, transfer.axes, transfer.vectors, terms, report)
         grouping = Grouping(iterated, transfer.axes)
     work = Encoder(
         settings,
@@ -94,28 +94,30 @@ def compress(
         candidates = pca_candidates(transfer.bandlimit, grouping.clusters, transfer.vectors)
         work.use(candidates, transfer.vectors.shape[1])
     else:
-        tell(f"basis {basis}")
+        report(f"basis {basis}")
         work.learn(lambda vertices: transfer.vectors[vertices])
-    return compressed(transfer, work, tell, started)
+    return compressed(transfer, work, report, started)
 
 
 def compressed(
-    transfer: Transfer, work: Encoder, tell: Tell, started: float, review: Review = lambda _: None
+    transfer: Transfer, work: Encoder, report: Tell, started: float, review: Review = lambda _: None
 ) -> CompressedTransfer:
     """Project and code vectors that are there, with bases that are learnt.
 
     ``started`` is when compression began, by `time.perf_counter`; ``review`` as of `streamed`.
     """
     store = projected(transfer, work)
-    tell("coding")
-    return _reviewed(partial(finished, transfer, work, store, started), work, review, tell)
+    report("coding")
+    return _reviewed(partial(finished, transfer, work, store, started), work, review, report)
 
 
-def _reviewed(code: Callable[[], CompressedTransfer], work: Encoder, review: Review, tell: Tell) -> CompressedTransfer:
+def _reviewed(
+    code: Callable[[], CompressedTransfer], work: Encoder, review: Review, report: Tell
+) -> CompressedTransfer:
     """Code until a review is content."""
     packed = code()
     while (finer := review(packed)) is not None:
-        tell(f"coding once more, tolerance {finer:.3g}")
+        report(f"coding once more, tolerance {finer:.3g}")
         assert packed.coded is not None
         work.refine_to(finer, packed.coded.tuning)
         packed = code()
@@ -159,12 +161,12 @@ def finished(transfer: Transfer, work: Encoder, store: MemoryStore, started: flo
 
 def precompute_compressed(
     scene: str | Path | Mesh,
-    settings: Settings,
-    job: TransportSettings,
+    settings: CompressionSettings,
+    transport: TransportSettings,
     *,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
-    tell: Tell = lambda _: None,
+    report: Tell = lambda _: None,
 ) -> CompressedTransfer:
     """Transfer of a scene, compressed as it is traced.
 
@@ -175,96 +177,96 @@ def precompute_compressed(
     Parameters
     ----------
     scene : path of a mesh or Mitsuba scene, or a `Mesh`
-    settings : Settings
-    job : TransportSettings
+    settings : CompressionSettings
+    transport : TransportSettings
     on_plan, advance : as of `precompute`
-    tell : callable
+    report : callable
         Told what is being done.
 
     Raises
     ------
     UserError
     """
-    settings.check(int(job.bandlimit))
-    with job.opened(scene, on_plan) as ready:
-        if not ready.by_blocks or settings.needs_all_vectors:
-            transfer = ready.transfer(advance)
-            return compress(transfer, tell=tell, **vars(settings))
-        source, grouping = ready.direct(), surveyed(settings, ready)
-        work = Encoder(settings, ready.scene.mesh, grouping, int(job.bandlimit), job.seed)
+    settings.check(int(transport.bandlimit))
+    with transport.opened(scene, on_plan) as planned:
+        if not planned.by_blocks or settings.needs_all_vectors:
+            transfer = planned.transfer(advance)
+            return compress(transfer, report=report, **vars(settings))
+        source, grouping = planned.direct(), surveyed(settings, planned)
+        work = Encoder(settings, planned.scene.mesh, grouping, int(transport.bandlimit), transport.seed)
         work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
-        return streamed(ready, source, work, advance, tell)
+        return streamed(planned, source, work, advance, report)
 
 
 def streamed(
-    ready: PlannedScene,
+    planned: PlannedScene,
     source: DirectTransfer,
     work: Encoder,
     advance: Callable[[int, int], None],
-    tell: Tell,
+    report: Tell,
     review: Review = lambda _: None,
 ) -> CompressedTransfer:
     """Trace and project block after block, then code.
 
     Parameters
     ----------
-    ready : PlannedScene
+    planned : PlannedScene
         That does `by_blocks`.
     source : DirectTransfer
-        Of ``ready``.
+        Of ``planned``.
     work : Encoder
         With its bases learnt.
-    advance, tell : as of `precompute_compressed`
+    advance, report : as of `precompute_compressed`
     review : callable
         Given what was coded; answers with a finer tolerance to code again with, or None.
     """
     of_pilot = source.rays
     while True:
-        with journal(_fingerprint(ready, work)) as store:
-            _trace(ready, source, work, store, advance)
-            overrides = _borrowed(ready, source, work, store)
+        with journal(_fingerprint(planned, work)) as store:
+            _trace(planned, source, work, store, advance)
+            overrides = _borrowed(planned, source, work, store)
             if not work.widened(store, overrides):
-                ready.clock.stop("transport")
-                tell("coding")
+                planned.clock.stop("transport")
+                report("coding")
                 rays = of_pilot + sum(block.rays for _, block in store)
-                code = partial(_finished, ready, work, store, overrides, rays)
-                return _reviewed(code, work, review, tell)
+                code = partial(_finished, planned, work, store, overrides, rays)
+                return _reviewed(code, work, review, report)
         log.info("the pilot foresaw too little error; once more with %d functions of each cap", work.bases[0].count)
 
 
 def _finished(
-    ready: PlannedScene, work: Encoder, store: Store, overrides: dict[int, Block], rays: int
+    planned: PlannedScene, work: Encoder, store: Store, overrides: dict[int, Block], rays: int
 ) -> CompressedTransfer:
     """Code what was traced."""
     begin = time.perf_counter()
     result = work.finish(store, overrides)
-    seconds = ready.clock.seconds
+    seconds = planned.clock.seconds
     seconds["compress"] = seconds.get("compress", 0.0) + time.perf_counter() - begin
-    own = ready.scene.environment
+    own = planned.scene.environment
     packed = CompressedTransfer(
         **result,
-        mesh=ready.scene.mesh,
-        parts=ready.scene.parts,
+        mesh=planned.scene.mesh,
+        parts=planned.scene.parts,
         bandlimit=work.bandlimit,
         clusters=work.clusters,
-        effects=ready.plan.effects,
+        effects=planned.plan.effects,
         bounces=0,
-        samples=int(ready.job.samples),
-        seed=ready.job.seed,
+        samples=int(planned.settings.samples),
+        seed=planned.settings.seed,
         rays_traced=rays,
         seconds=seconds,
-        source=ready.scene.path,
+        source=planned.scene.path,
         lighting=None if own is None else project_environment(own, work.bandlimit),
-        view=ready.scene.view,
+        view=planned.scene.view,
     )
     return packed.knowing(work.decoded) if work.decoded else packed
 
 
 def _trace(
-    ready: PlannedScene, source: DirectTransfer, work: Encoder, store: Journal, advance: Callable[[int, int], None]
+    planned: PlannedScene, source: DirectTransfer, work: Encoder, store: Journal, advance: Callable[[int, int], None]
 ) -> None:
     """Trace and project all blocks that are not in the journal already."""
-    blocks, count = source.blocks, len(ready.scene.mesh.positions)
+    blocks, count = source.blocks, len(planned.scene.mesh.positions)
     done = {number for number, _ in store}
     left = [number for number in range(len(blocks)) if number not in done]
     if done:
@@ -277,12 +279,12 @@ def _trace(
     source.run([blocks[number] for number in left], deliver, lambda n: advance(n, count))
 
 
-def _borrowed(ready: PlannedScene, source: DirectTransfer, work: Encoder, store: Store) -> dict[int, Block]:
+def _borrowed(planned: PlannedScene, source: DirectTransfer, work: Encoder, store: Store) -> dict[int, Block]:
     """Blocks of the vertices inside other geometry, whose transfer is that of their neighbours."""
     dark = [block.vertices[block.figures[:, 0] >= 1.0] for _, block in store]
-    receivers = ready.scene.mesh.receivers.active
+    receivers = planned.scene.mesh.receivers.active
     found = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *dark]))
-    borrowed = borrow(ready.scene, found[receivers[found]].astype(np.int64))
+    borrowed = borrow(planned.scene, found[receivers[found]].astype(np.int64))
     overrides = {}
     for number, begin in enumerate(range(0, borrowed.rows.size, _BLOCK)):
         rows = borrowed.rows[begin : begin + _BLOCK]
@@ -293,11 +295,13 @@ def _borrowed(ready: PlannedScene, source: DirectTransfer, work: Encoder, store:
     return overrides
 
 
-def _fingerprint(ready: PlannedScene, work: Encoder) -> str:
+def _fingerprint(planned: PlannedScene, work: Encoder) -> str:
     """Of everything that blocks of coefficients depend on."""
     digest = hashlib.sha256()
-    scene, job, plan = ready.scene, ready.job, ready.plan
-    digest.update(repr((version("slepian_prt"), scene.mi.variant(), job.bandlimit, job.seed, plan.nodes)).encode())
+    scene, transport, plan = planned.scene, planned.settings, planned.plan
+    digest.update(
+        repr((version("slepian_prt"), scene.mi.variant(), transport.bandlimit, transport.seed, plan.nodes)).encode()
+    )
     arrays = [
         scene.mesh.positions,
         scene.mesh.normals,

@@ -9,7 +9,7 @@ from slepian_prt.compression.checkpoint import MemoryStore
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import Encoder, WarmStart
 from slepian_prt.compression.grouping import Grouping
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, finished, projected
 from slepian_prt.transport.transfer import Transfer
 
@@ -23,12 +23,12 @@ class ToleranceSweep:
     Parameters
     ----------
     transfer : Transfer
-    settings : Settings
+    settings : CompressionSettings
         All but the tolerance.
     grouping : Grouping
     """
 
-    def __init__(self, transfer: Transfer, settings: Settings, grouping: Grouping) -> None:
+    def __init__(self, transfer: Transfer, settings: CompressionSettings, grouping: Grouping) -> None:
         self._transfer, self._settings, self._grouping = transfer, settings, grouping
         self._work: Encoder | None = None
         self._finest: tuple[Encoder, MemoryStore] | None = None

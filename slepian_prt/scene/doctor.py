@@ -23,14 +23,14 @@ import json, sys, time
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import make_mesh
-from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.visibility import VisibilityTracer
 import numpy as np, trimesh
 ball = trimesh.creation.icosphere(6)
 radius = 1 + 0.1 * np.sin(9 * ball.vertices).prod(axis=1)
 with open_scene(make_mesh(ball.vertices * radius[:, None], ball.faces)) as scene:
     chosen = np.arange(0, len(ball.vertices), 4)
-    tracer = VisibilityTracer(scene, 0, direction_net(256), 0)
+    tracer = VisibilityTracer(scene, 0, direction_set(256), 0)
     tracer.look(chosen)
     rates = []
     for _ in range(3):

@@ -140,9 +140,9 @@ def precompute(
     ValueError
         Bandlimit, samples, bounces or effects out of range.
     """
-    job = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed)
-    with job.opened(scene, on_plan) as ready:
-        return ready.transfer(advance)
+    transport = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed)
+    with transport.opened(scene, on_plan) as planned:
+        return planned.transfer(advance)
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ class PlannedScene:
     Attributes
     ----------
     scene : Scene
-    job : TransportSettings
+    settings : TransportSettings
     survey : Survey
     plan : Plan
     toward : View or None
@@ -206,16 +206,16 @@ class PlannedScene:
     """
 
     scene: Scene
-    job: TransportSettings
+    settings: TransportSettings
     survey: Survey
     plan: Plan
     toward: View | None
     clock: Clock
 
-    def asked(self, job: TransportSettings) -> PlannedScene:
+    def asked(self, transport: TransportSettings) -> PlannedScene:
         """The same scene, planned for other numbers, with a clock of its own; ``albedo`` and ``view`` stay."""
-        plan = self.survey.plan(job.bandlimit, int(job.samples), job.effects, self.toward)
-        return replace(self, job=job, plan=plan, clock=Clock(self.clock.seconds))
+        plan = self.survey.plan(transport.bandlimit, int(transport.samples), transport.effects, self.toward)
+        return replace(self, settings=transport, plan=plan, clock=Clock(self.clock.seconds))
 
     @property
     def by_blocks(self) -> bool:
@@ -224,11 +224,13 @@ class PlannedScene:
 
     def direct(self) -> DirectTransfer:
         """The source of direct transfer."""
-        return DirectTransfer(self.scene, int(self.job.bandlimit), self.plan.nodes, self.plan.shadowed, self.job.seed)
+        return DirectTransfer(
+            self.scene, int(self.settings.bandlimit), self.plan.nodes, self.plan.shadowed, self.settings.seed
+        )
 
     def transfer(self, advance: Callable[[int, int], None] = lambda _done, _total: None) -> Transfer:
         """All vectors, in memory."""
-        job, mesh, count = self.job, self.scene.mesh, len(self.scene.mesh.positions)
+        transport, mesh, count = self.settings, self.scene.mesh, len(self.scene.mesh.positions)
         axes, taken = mesh.normals, 0
         if self.toward is None:
             vectors, taken, rays = self._diffuse(advance)
@@ -236,9 +238,9 @@ class PlannedScene:
             vectors, axes, rays = view_transfer(
                 self.scene,
                 self.toward,
-                job.bandlimit,
-                int(job.samples),
-                job.seed,
+                transport.bandlimit,
+                int(transport.samples),
+                transport.seed,
                 shadows=self.plan.effects[0].verdict == SIMULATED,
                 advance=lambda n: advance(n, count),
             )
@@ -248,9 +250,9 @@ class PlannedScene:
             vectors=vectors,
             mesh=mesh,
             parts=self.scene.parts,
-            bandlimit=int(job.bandlimit),
-            samples=int(job.samples),
-            seed=job.seed,
+            bandlimit=int(transport.bandlimit),
+            samples=int(transport.samples),
+            seed=transport.seed,
             effects=self.plan.effects,
             bounces=taken,
             rays_traced=rays,
@@ -264,23 +266,25 @@ class PlannedScene:
 
     def _diffuse(self, advance: Callable[[int, int], None]) -> tuple[NDArray[np.float32], int, int]:
         """Transfer vectors (V, channels, (L+1)²) of diffuse surfaces as planned, the bounces taken, and rays traced."""
-        scene, plan, job = self.scene, self.plan, self.job
+        scene, plan, transport = self.scene, self.plan, self.settings
         mesh = scene.mesh
         total = len(mesh.positions) + (plan.shadowed.size if plan.interreflection else 0)
 
-        def tell(done: int) -> None:
+        def report(done: int) -> None:
             advance(done, total)
 
-        direct, blocked, rays = shadowed_transfer(scene, int(job.bandlimit), plan.nodes, plan.shadowed, job.seed, tell)
+        direct, blocked, rays = shadowed_transfer(
+            scene, int(transport.bandlimit), plan.nodes, plan.shadowed, transport.seed, report
+        )
         borrowed = borrow(scene, np.flatnonzero((blocked >= 1.0) & mesh.receivers.active))
         borrowed.fill(direct)
         borrowed.fill(blocked)
         self.clock.stop("transport")
         if not plan.interreflection:
             return direct[:, None, :], 0, rays
-        nodes = max(1, round(GATHER_SHARE * job.samples))
-        gather = gather_operator(scene, nodes, plan.shadowed, blocked, job.seed + 1, tell)
-        bounces = job.bounces
+        nodes = max(1, round(GATHER_SHARE * transport.samples))
+        gather = gather_operator(scene, nodes, plan.shadowed, blocked, transport.seed + 1, report)
+        bounces = transport.bounces
         if bounces is None:
             bounces, _ = count_bounces(gather, mesh.albedo, np.where(mesh.receivers.active, 1.0 - blocked, 0.0))
         vectors = bounced(gather, mesh.albedo, direct, plan.channels, int(bounces))

@@ -8,7 +8,7 @@ from slepian_prt.accuracy.error_metric import MapMetric
 from slepian_prt.accuracy.transport_pilot import SAMPLES, TransportPilot, pilot_vertices
 from slepian_prt.compression.encoder import Encoder
 from slepian_prt.compression.grouping import grouped
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
 from slepian_prt.lighting.environment import make_environment
@@ -29,7 +29,7 @@ def shadowed():
 
 def test_errors_of_coefficients_under_a_light(shadowed, rng):
     """Mean squares of radiance, cap by cap as each stands, from products of the coefficients' errors."""
-    settings = Settings(tolerance=0.05, clusters=12)
+    settings = CompressionSettings(tolerance=0.05, clusters=12)
     work = Encoder(settings, shadowed.mesh, grouped(settings, shadowed), 6, 0)
     work.learn(lambda vertices: shadowed.vectors[vertices])
     light = project_environment(SKY, 6)
@@ -46,16 +46,16 @@ def test_errors_of_coefficients_under_a_light(shadowed, rng):
 @pytest.mark.parametrize("part", [0.02, 0.06])
 def test_a_trial_foresees_what_coding_adds(part):
     """Tolerance, error and bytes of the whole mesh, from caps of a pilot."""
-    with TransportSettings().opened(bumpy(5)) as ready:
-        chosen, timed = pilot_vertices(ready, 0)
-        yardstick = MapMetric.of(ready, [SKY], chosen, 0.004)
-        look = TransportPilot(ready, yardstick, timed, SAMPLES, (8,), lambda _: None).look(256, 8)
-        transfer = ready.asked(TransportSettings(8, 256)).transfer()
+    with TransportSettings().opened(bumpy(5)) as planned:
+        chosen, timed = pilot_vertices(planned, 0)
+        yardstick = MapMetric.of(planned, [SKY], chosen, 0.004)
+        look = TransportPilot(planned, yardstick, timed, SAMPLES, (8,), lambda _: None).look(256, 8)
+        transfer = planned.asked(TransportSettings(8, 256)).transfer()
         prior = measured_prior([project_environment(SKY, 8)], 8, "sky")
-        grouping = grouped(Settings(clusters=40), transfer)
-        pilot = CodingPilot(ready, look, Settings(clusters=40), grouping, lambda _: prior, yardstick)
+        grouping = grouped(CompressionSettings(clusters=40), transfer)
+        pilot = CodingPilot(planned, look, CompressionSettings(clusters=40), grouping, lambda _: prior, yardstick)
         coded = pilot.within(np.array([part**2]))
-        settings = Settings(tolerance=coded.tolerance, light_prior=prior, clusters=40)
+        settings = CompressionSettings(tolerance=coded.tolerance, light_prior=prior, clusters=40)
         packed = compress(transfer, **{**vars(settings), "clusters": grouping})
         found = yardstick.errors(packed.reconstruct(chosen)[:, None, :]).squared[8, 0]
     assert coded.squared[0] <= part**2 * (1.0 + 1e-9)
@@ -69,7 +69,7 @@ def test_coding_again_from_the_same_blocks(shadowed):
     """A review that is not content gets a finer tolerance without another projection."""
     from slepian_prt.compression.stream import compressed
 
-    settings = Settings(tolerance=0.1, clusters=12)
+    settings = CompressionSettings(tolerance=0.1, clusters=12)
     work = Encoder(settings, shadowed.mesh, grouped(settings, shadowed), 6, 0)
     work.learn(lambda vertices: shadowed.vectors[vertices])
     asked = iter([0.07, None])

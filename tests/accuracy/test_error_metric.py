@@ -153,12 +153,12 @@ def test_what_lies_beyond_the_reference_is_known_from_degree_one():
 
 def test_a_map_against_a_scene():
     """Full SH at a high bandlimit with many rays is within noise of the reference, a low one is not."""
-    with TransportSettings(12, 4096).opened(bumpy(3)) as ready:
-        vertices = np.flatnonzero(ready.scene.mesh.receivers.active)
-        vectors = ready.direct().of(vertices)[0]
+    with TransportSettings(12, 4096).opened(bumpy(3)) as planned:
+        vertices = np.flatnonzero(planned.scene.mesh.receivers.active)
+        vectors = planned.direct().of(vertices)[0]
         texels = np.full((32, 64, 3), 0.5, dtype=np.float32)
         texels[:16] = 2.0
-        yardstick = MapMetric.of(ready, [make_environment(texels, name="half")], vertices, 0.003)
+        yardstick = MapMetric.of(planned, [make_environment(texels, name="half")], vertices, 0.003)
     found = np.sqrt(yardstick.errors(vectors[:, None, :]).squared[:, 0])
     assert yardstick.noise[0] <= 0.0045
     assert found[12] < 0.01

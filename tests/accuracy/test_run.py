@@ -12,7 +12,7 @@ from slepian_prt.accuracy.goal import Goal
 from slepian_prt.accuracy.run import Light, precompute_within
 from slepian_prt.cli import main
 from slepian_prt.compression.compressed import load
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.metrics import relative_rms
 from slepian_prt.evaluation.reference import vertex_reference
@@ -27,13 +27,13 @@ from tests.relighting.mitsuba.test_integrator import sky
 SKY = make_environment(sky(), name="sky")
 HARSH = make_environment(np.where(sky() > 1.5, 400.0, 0.2).astype(np.float32), name="harsh")
 LIGHT = Light((SKY,))
-FEW = Settings(clusters=16)
+FEW = CompressionSettings(clusters=16)
 
 
 def true_error(mesh, packed, environment=SKY) -> float:
     """At all vertices, against a reference of its own."""
-    with TransportSettings().opened(mesh) as ready:
-        reference = vertex_reference(ready.scene, environment, noise=0.002, seed=77)
+    with TransportSettings().opened(mesh) as planned:
+        reference = vertex_reference(planned.scene, environment, noise=0.002, seed=77)
     radiance = relight(packed, project_environment(environment, packed.bandlimit))
     return float(np.sqrt(max(relative_rms(radiance, reference.radiance) ** 2 - reference.noise**2, 0.0)))
 
@@ -85,8 +85,8 @@ def test_a_spectrum_instead_of_maps():
     assert found.packed.prior == "1/(l+1)"
     # By brute force: full transfer with many rays at a high bandlimit, degree by degree.
     exact = TransportSettings(20, 4096)
-    with exact.opened(mesh) as ready:
-        vectors = ready.transfer().vectors[:, 0].astype(np.float64)
+    with exact.opened(mesh) as planned:
+        vectors = planned.transfer().vectors[:, 0].astype(np.float64)
     mine = np.zeros_like(vectors)
     mine[:, : (found.packed.bandlimit + 1) ** 2] = found.packed.reconstruct()
     weights = np.repeat(1.0 / (1.0 + np.arange(21.0)), 2 * np.arange(21) + 1)
@@ -100,8 +100,8 @@ def test_what_cannot_be_met_is_refused_with_the_best():
     with pytest.raises(UserError, match=r"cannot be met under harsh: bandlimit 3 leaves") as refused:
         precompute_within(mesh, Goal(error=0.02, bandlimit=3), Light((HARSH,)), FEW, TransportSettings())
     claimed = float(re.search(r"leaves ([\d.]+)", str(refused.value))[1])
-    with TransportSettings(3, 4096).opened(mesh) as ready:
-        transfer = ready.transfer()
+    with TransportSettings(3, 4096).opened(mesh) as planned:
+        transfer = planned.transfer()
     assert claimed == pytest.approx(true_error(mesh, transfer, HARSH), rel=0.1)
     offer = float(re.search(r"--max-error ([\d.]+)", str(refused.value))[1])
     found = precompute_within(mesh, Goal(error=offer, bandlimit=3), Light((HARSH,)), FEW, TransportSettings())
@@ -132,7 +132,11 @@ def test_an_error_and_a_time():
 
 def test_interreflection_is_measured_with_its_bounces():
     found = precompute_within(
-        ROOT / "scenes" / "cornell.xml", Goal(error=0.1), Light((SKY,)), Settings(clusters=16), TransportSettings()
+        ROOT / "scenes" / "cornell.xml",
+        Goal(error=0.1),
+        Light((SKY,)),
+        CompressionSettings(clusters=16),
+        TransportSettings(),
     )
     assert found.packed.bounces > 1
     assert found.verification.error[0] <= 0.1
@@ -157,7 +161,7 @@ def test_if_it_was_not_met_it_is_done_again(monkeypatch):
         return original(self, squared if any("aimed lower" in what for what in told) else 2.5 * squared)
 
     monkeypatch.setattr(run.CodingPilot, "within", hopeful)
-    found = precompute_within(bumpy(5), Goal(error=0.05), LIGHT, FEW, TransportSettings(), tell=told.append)
+    found = precompute_within(bumpy(5), Goal(error=0.05), LIGHT, FEW, TransportSettings(), report=told.append)
     again = [what for what in told if "aimed lower" in what]
     assert len(again) == 1
     assert found.verification.error[0] <= 0.05
@@ -166,7 +170,7 @@ def test_if_it_was_not_met_it_is_done_again(monkeypatch):
 def test_nothing_more_to_hold_out():
     """On a mesh that the pilot has seen whole, a miss is told, and is no error."""
     mesh = bumpy(1)
-    found = precompute_within(mesh, Goal(error=0.05), LIGHT, Settings(clusters=4), TransportSettings())
+    found = precompute_within(mesh, Goal(error=0.05), LIGHT, CompressionSettings(clusters=4), TransportSettings())
     assert found.verification.vertices == len(mesh.positions) // 2
 
 

@@ -13,23 +13,23 @@ from tests.relighting.mitsuba.test_integrator import sky
 
 @pytest.fixture(scope="module")
 def pilot():
-    with TransportSettings().opened(bumpy(5)) as ready:
-        chosen, timed = pilot_vertices(ready, 0)
-        yardstick = MapMetric.of(ready, [make_environment(sky(), name="sky")], chosen, 0.004)
-        made = TransportPilot(ready, yardstick, timed, SAMPLES, BANDLIMITS, lambda _: None)
+    with TransportSettings().opened(bumpy(5)) as planned:
+        chosen, timed = pilot_vertices(planned, 0)
+        yardstick = MapMetric.of(planned, [make_environment(sky(), name="sky")], chosen, 0.004)
+        made = TransportPilot(planned, yardstick, timed, SAMPLES, BANDLIMITS, lambda _: None)
         made.explore(0.03, 0.0)
         yield made
 
 
 def test_vertices_are_apart_and_all_over():
-    with TransportSettings().opened(bumpy(5)) as ready:
-        chosen, held_out = pilot_vertices(ready, 0)
-        others, _ = pilot_vertices(ready, 1)
+    with TransportSettings().opened(bumpy(5)) as planned:
+        chosen, held_out = pilot_vertices(planned, 0)
+        others, _ = pilot_vertices(planned, 1)
     assert np.intersect1d(chosen, held_out).size == 0
     assert np.unique(chosen).size == chosen.size == PILOT
     assert not np.array_equal(chosen, others)
     # As many on each side as there are vertices.
-    positions = ready.scene.mesh.positions
+    positions = planned.scene.mesh.positions
     for axis in range(3):
         assert np.mean(positions[chosen, axis] > 0) == pytest.approx(np.mean(positions[:, axis] > 0), abs=0.03)
 
@@ -58,8 +58,8 @@ def test_feasible_is_what_meets_the_error(pilot):
 
 def test_a_pilot_s_transport_is_that_of_the_whole_run(pilot):
     """So that nothing but the choice of vertices separates what is foreseen from what comes."""
-    ready = pilot.ready
-    whole = ready.asked(TransportSettings(6, 128)).transfer().vectors[pilot.yardstick.vertices, 0]
+    planned = pilot.planned
+    whole = planned.asked(TransportSettings(6, 128)).transfer().vectors[pilot.yardstick.vertices, 0]
     np.testing.assert_array_equal(pilot.source(128, 6).of(pilot.yardstick.vertices)[0], whole)
 
 

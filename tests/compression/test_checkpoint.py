@@ -10,7 +10,7 @@ import trimesh
 
 from slepian_prt.compression import checkpoint as stores
 from slepian_prt.compression.compressed import load
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, precompute_compressed
 from slepian_prt.errors import UserError
 from slepian_prt.transport.transfer import TransportSettings, precompute
@@ -121,7 +121,7 @@ def test_a_full_disk_is_one_clear_line(rng):
         def seek(self, *_):
             return 0
 
-        def tell(self):
+        def report(self):
             return 0
 
         def read(self, _=None):
@@ -151,13 +151,13 @@ def content(packed, tmp_path) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     "settings",
     [
-        Settings(tolerance=0.05, clusters=12),
-        Settings(terms=9, clusters=12),
-        Settings(terms=9, clusters=12, refine=True),
-        Settings(tolerance=0.05, clusters=12, group_by="bent", occlusion_classes=2),
-        Settings(tolerance=0.05, clusters=12, group_by="surface", refine=True),
-        Settings(basis="none"),
-        Settings(basis="pca", terms=9, clusters=12),
+        CompressionSettings(tolerance=0.05, clusters=12),
+        CompressionSettings(terms=9, clusters=12),
+        CompressionSettings(terms=9, clusters=12, refine=True),
+        CompressionSettings(tolerance=0.05, clusters=12, group_by="bent", occlusion_classes=2),
+        CompressionSettings(tolerance=0.05, clusters=12, group_by="surface", refine=True),
+        CompressionSettings(basis="none"),
+        CompressionSettings(basis="pca", terms=9, clusters=12),
     ],
 )
 def test_streamed_is_as_good_as_in_memory(settings, tmp_path):
@@ -181,7 +181,7 @@ def test_streamed_is_as_good_as_in_memory(settings, tmp_path):
 @pytest.mark.parametrize("after", [0, 1, 3, 6])
 def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, monkeypatch, cache, caplog):
     monkeypatch.setattr("slepian_prt.transport.visibility._RAYS_PER_BLOCK", 1 << 16)
-    mesh, settings = bumpy(4), Settings(tolerance=0.05, clusters=12)
+    mesh, settings = bumpy(4), CompressionSettings(tolerance=0.05, clusters=12)
     whole = content(precompute_compressed(mesh, settings, JOB), tmp_path)
     add, added = stores.Journal.add, []
 
@@ -213,18 +213,18 @@ def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, m
 
 def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):
     monkeypatch.setattr(stores.Journal, "__iter__", lambda _: (_ for _ in ()).throw(Killed))
-    settings = Settings(tolerance=0.05, clusters=6)
+    settings = CompressionSettings(tolerance=0.05, clusters=6)
     others = [
         (settings, JOB),
-        (Settings(tolerance=0.2, clusters=6), JOB),
-        (Settings(tolerance=0.05, clusters=7), JOB),
+        (CompressionSettings(tolerance=0.2, clusters=6), JOB),
+        (CompressionSettings(tolerance=0.05, clusters=7), JOB),
         (settings, TransportSettings(6, 256, seed=1)),
         (settings, TransportSettings(6, 300)),
         (settings, TransportSettings(5, 256)),
     ]
-    for number, (how, job) in enumerate(others):
+    for number, (how, transport) in enumerate(others):
         with pytest.raises(Killed):
-            precompute_compressed(bumpy(3), how, job)
+            precompute_compressed(bumpy(3), how, transport)
         assert len(list(cache.iterdir())) == number + 1
 
 
@@ -234,7 +234,7 @@ def test_a_pilot_that_saw_too_little_is_made_up_for(monkeypatch):
     mesh = bumpy(4)
     reference = precompute(mesh, 6, 256).vectors[:, 0]
     for packed in (
-        precompute_compressed(mesh, Settings(tolerance=0.03, clusters=12), JOB),
+        precompute_compressed(mesh, CompressionSettings(tolerance=0.03, clusters=12), JOB),
         compress(precompute(mesh, 6, 256), tolerance=0.03, clusters=12),
     ):
         assert np.linalg.norm(packed.reconstruct() - reference) <= 0.0301 * np.linalg.norm(reference)
@@ -247,7 +247,7 @@ def test_vertices_inside_other_geometry_borrow(tmp_path):
     path = tmp_path / "scene.ply"
     trimesh.util.concatenate([floor, box]).export(path)
     reference = precompute(path, 4, 256).vectors[:, 0]
-    packed = precompute_compressed(path, Settings(tolerance=1e-3, clusters=12), TransportSettings(4, 256))
+    packed = precompute_compressed(path, CompressionSettings(tolerance=1e-3, clusters=12), TransportSettings(4, 256))
     assert np.linalg.norm(packed.reconstruct() - reference) <= 1.01e-3 * np.linalg.norm(reference)
 
 
@@ -287,7 +287,7 @@ def test_peak_memory_does_not_grow_with_the_mesh():
             mesh = bumpy(subdivisions)
             tracemalloc.reset_peak()
             held = tracemalloc.get_traced_memory()[0]
-            precompute_compressed(mesh, Settings(tolerance=0.1), TransportSettings(20, 64))
+            precompute_compressed(mesh, CompressionSettings(tolerance=0.1), TransportSettings(20, 64))
             peaks.append(tracemalloc.get_traced_memory()[1] - held)
             counts.append(len(mesh.positions))
     finally:
@@ -297,7 +297,7 @@ def test_peak_memory_does_not_grow_with_the_mesh():
 
 
 def test_convex_streams_without_a_ray():
-    packed = precompute_compressed(sphere(4), Settings(tolerance=0.05, clusters=12), JOB)
+    packed = precompute_compressed(sphere(4), CompressionSettings(tolerance=0.05, clusters=12), JOB)
     assert packed.rays_traced == 0
 
 
@@ -306,7 +306,7 @@ def test_convex_streams_without_a_ray():
 def test_relighting_is_reconstruction_times_light_however_grouped(group_by, classes, rng):
     if group_by == "surface" and classes > 1:
         pytest.skip("patches have no classes")
-    settings = Settings(tolerance=0.05, clusters=8, group_by=group_by, occlusion_classes=classes)
+    settings = CompressionSettings(tolerance=0.05, clusters=8, group_by=group_by, occlusion_classes=classes)
     packed = precompute_compressed(bumpy(4), settings, JOB)
     lights = rng.normal(size=(20, 3, 49))
     expected = np.einsum("vm,bcm->bvc", packed.reconstruct(), lights)

@@ -10,7 +10,7 @@ from slepian_prt.compression.compressed import load
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.grouping import grouped
 from slepian_prt.compression.pilot import learn, pilot_vertices
-from slepian_prt.compression.settings import BASES, Settings
+from slepian_prt.compression.settings import BASES, CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
 from slepian_prt.compression.truncation import by_tolerance, predicted_error, tails
@@ -259,7 +259,7 @@ def test_adapted_prediction_on_the_skull(data):
 
 def test_a_family_is_what_each_would_be_alone(shadowed):
     """Shared bases and projections change nothing but rounding of the sums."""
-    settings = Settings(clusters=16)
+    settings = CompressionSettings(clusters=16)
     family = ToleranceSweep(shadowed, settings, grouped(settings, shadowed))
     for tolerance in (0.02, 0.05, 0.2, 0.01):  # the last needs more functions than were projected on
         packed, alone = family.compressed(tolerance), compress(shadowed, tolerance=tolerance, clusters=16)
@@ -270,7 +270,7 @@ def test_a_family_is_what_each_would_be_alone(shadowed):
 
 
 def test_what_was_coded_is_known_as_it_will_be_decoded(shadowed, tmp_path):
-    settings = Settings(clusters=16)
+    settings = CompressionSettings(clusters=16)
     packed = ToleranceSweep(shadowed, settings, grouped(settings, shadowed)).compressed(0.05)
     packed.save(tmp_path / "a.prt")
     vertices = np.array([700, 3, 3, 1500])
@@ -280,7 +280,7 @@ def test_what_was_coded_is_known_as_it_will_be_decoded(shadowed, tmp_path):
 
 
 def test_starting_from_what_much_the_same_was_coded_with(shadowed):
-    settings = Settings(clusters=16)
+    settings = CompressionSettings(clusters=16)
     fewer = precompute(bumpy(4), bandlimit=6, samples=64)
     before = compress(shadowed, tolerance=0.05, clusters=16)
     cold = compress(fewer, tolerance=0.05, clusters=16)

@@ -146,18 +146,24 @@ def test_a_front_names_settings_that_are_apart():
 
 
 def test_a_stopped_sweep_goes_on(folder, tmp_path):
-    environments, job = [make_environment(sky(), name="sky")], TransportSettings()
+    environments, transport = [make_environment(sky(), name="sky")], TransportSettings()
     axes = replace(AXES, bandlimits=(2,), tolerances=(0.3, 0.1))
     path = tmp_path / "partial"
-    with job.opened(folder / "bumpy.ply") as ready:
-        journal = Journal(path, ready, environments, 0.05)
+    with transport.opened(folder / "bumpy.ply") as planned:
+        journal = Journal(path, planned, environments, 0.05)
     kept = replace(point(samples=16, bandlimit=2, tolerance=0.3), error={"sky": 0.123})
     journal.add(kept)
     with path.open("a") as file:
         file.write('{"key": "cut sho')
     done = []
     found = sweeping.sweep(
-        folder / "bumpy.ply", environments, axes, job, noise=0.05, journal=path, advance=lambda n, _: done.append(n)
+        folder / "bumpy.ply",
+        environments,
+        axes,
+        transport,
+        noise=0.05,
+        journal=path,
+        advance=lambda n, _: done.append(n),
     )
     assert kept in found.points
     assert sum(done) == len(found.points) == 4
@@ -165,9 +171,9 @@ def test_a_stopped_sweep_goes_on(folder, tmp_path):
     # Another job is not taken for the same, nor another mesh of the same name.
     journal.add(kept)
     moved = replace(bumpy(3), positions=1.1 * bumpy(3).positions)
-    for scene, other in ((folder / "bumpy.ply", TransportSettings(seed=1)), (moved, job)):
-        with other.opened(scene) as ready:
-            assert Journal(path, ready, environments, 0.05).points == {}
+    for scene, other in ((folder / "bumpy.ply", TransportSettings(seed=1)), (moved, transport)):
+        with other.opened(scene) as planned:
+            assert Journal(path, planned, environments, 0.05).points == {}
 
 
 def test_the_command(folder):
