@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from slepian_prt.compression.compressed import CompressedTransfer, load
+    from slepian_prt.compression.compressed import CompressedTransfer
+    from slepian_prt.compression.prt_file import load
     from slepian_prt.compression.stream import compress
     from slepian_prt.errors import UserError
     from slepian_prt.lighting.environment import Environment, read_environment
@@ -54,7 +55,7 @@ _HOME = {
     "cosine_lobe": "slepian.kernels",
     "generalized_shannon_number": "slepian.shannon",
     "falling_prior": "lighting.spectrum",
-    "load": "compression.compressed",
+    "load": "compression.prt_file",
     "make_mesh": "scene.mesh",
     "mask_region": "sphere.regions",
     "measured_prior": "lighting.spectrum",

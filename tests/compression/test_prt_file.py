@@ -8,7 +8,7 @@ import pytest
 
 from slepian_prt import files
 from slepian_prt.compression import archive
-from slepian_prt.compression.compressed import load
+from slepian_prt.compression.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.transport.transfer import precompute

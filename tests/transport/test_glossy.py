@@ -96,7 +96,7 @@ def test_lobes_are_clustered_by_reflection(write):
 
 
 def test_compresses_and_comes_back(write, tmp_path):
-    from slepian_prt.compression.compressed import load
+    from slepian_prt.compression.prt_file import load
 
     transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 6, 256, view="front")
     packed = compress(transfer, tolerance=0.05, clusters=24)
