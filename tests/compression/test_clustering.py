@@ -72,7 +72,7 @@ def test_the_index_is_told_from_normals_in_float32_alone(rng):
 
 def test_surface_patches_are_connected_and_even(rng):
     mesh = bumpy(4)
-    clusters = cluster_surface(mesh, mesh.normals, 24)
+    clusters = cluster_surface(mesh.receivers, mesh.normals, 24)
     assert len(clusters.caps) == 24
     assert clusters.sizes.max() < 3 * clusters.sizes.mean()
     for cap, members in zip(clusters.caps, clusters.members, strict=True):
@@ -91,9 +91,9 @@ def test_surface_patches_of_pieces_and_unused_vertices():
     ball = sphere(1)
     positions = np.concatenate([ball.positions, ball.positions + 9.0, [[50.0, 0, 0]]])
     mesh = make_mesh(positions, np.concatenate([ball.faces, ball.faces + len(ball.positions)]))
-    clusters = cluster_surface(mesh, mesh.normals, 1)
+    clusters = cluster_surface(mesh.receivers, mesh.normals, 1)
     assert_exact(clusters.index, 0, because="integers")
-    many = cluster_surface(mesh, mesh.normals, 500)
+    many = cluster_surface(mesh.receivers, mesh.normals, 500)
     assert len(many.caps) <= 84
     assert many.index.min() == 0
 
@@ -101,12 +101,12 @@ def test_surface_patches_of_pieces_and_unused_vertices():
 def test_occlusion_classes_are_even_and_ordered(rng):
     normals, openness = random_directions(rng, 4000), rng.random(4000)
     clusters = cluster_by_occlusion(normals, openness, 4, 6)
-    kinds = clusters.kinds[clusters.index]
+    kinds = clusters.occlusion_classes[clusters.index]
     assert np.bincount(kinds).tolist() == [1000] * 4
     assert all(openness[kinds == k].max() <= openness[kinds == k + 1].min() for k in range(3))
-    assert np.bincount(clusters.kinds).tolist() == [6] * 4
+    assert np.bincount(clusters.occlusion_classes).tolist() == [6] * 4
     same = cluster_by_occlusion(normals, np.ones(4000), 4, 6)
-    assert set(same.kinds) == {0}
+    assert set(same.occlusion_classes) == {0}
 
 
 def test_bent_normals_point_to_the_light():

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from slepian_prt import files
-from slepian_prt.compression import archive
+from slepian_prt.compression import container as container_file
 from slepian_prt.compression.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.relight import relight
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
 from tests.numerics import assert_exact, assert_rounded
@@ -42,7 +43,7 @@ def test_what_is_read_is_what_was_written(basis, coding, tmp_path):
         assert getattr(after, name) == getattr(before, name)
     assert after.bytes_per_vertex == before.bytes_per_vertex
     light = np.random.default_rng(0).normal(size=(3, 25))
-    assert_rounded(after.radiance(light), before.radiance(light), terms=3 * 25, size=float(np.linalg.norm(light)))
+    assert_rounded(relight(after, light), relight(before, light), terms=3 * 25, size=float(np.linalg.norm(light)))
 
 
 def test_bytes_per_vertex_is_what_the_file_spends(packed, content):
@@ -60,7 +61,7 @@ def test_same_content_same_bytes(packed, content, tmp_path):
 
 def test_readable_by_others(content):
     with zipfile.ZipFile(io.BytesIO(content)) as container:
-        assert json.loads(container.read("manifest.json"))["format"] == archive.FORMAT
+        assert json.loads(container.read("manifest.json"))["format"] == container_file.FORMAT
         positions = np.load(io.BytesIO(container.read("mesh/positions.npy")), allow_pickle=False)
     assert positions.shape == (642, 3)
 
@@ -107,12 +108,13 @@ def test_foreign_zip_and_newer_version(tmp_path):
     with pytest.raises(UserError, match="not a transfer file of slepian-prt"):
         load(path)
     with zipfile.ZipFile(path, "w") as container:
-        container.writestr("manifest.json", json.dumps({"format": archive.FORMAT, "version": 99}))
+        container.writestr("manifest.json", json.dumps({"format": container_file.FORMAT, "version": 99}))
     with pytest.raises(UserError, match=r"format version 99.*update"):
         load(path)
     with zipfile.ZipFile(path, "w") as container:
         container.writestr(
-            "manifest.json", json.dumps({"format": archive.FORMAT, "version": archive.VERSION, "arrays": []})
+            "manifest.json",
+            json.dumps({"format": container_file.FORMAT, "version": container_file.VERSION, "arrays": []}),
         )
     with pytest.raises(UserError, match="do not fit together"):
         load(path)
@@ -144,7 +146,7 @@ def test_nothing_is_left_of_a_write_that_fails(error, tmp_path):
 
 
 def test_folder_that_is_missing_or_in_the_way(tmp_path):
-    for check in (files.check_writable, lambda path: archive.atomic_output(path).__enter__()):
+    for check in (files.check_writable, lambda path: files.atomic_output(path).__enter__()):
         with pytest.raises(UserError, match=r"choose another|create it"):
             check(tmp_path / "missing" / "out.prt")
         with pytest.raises(UserError, match="is a folder"):

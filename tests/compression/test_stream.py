@@ -6,6 +6,7 @@ import pytest
 
 from slepian_prt.compression.bases import ANALYTIC, Frame, Problem, candidates, shared_half_angle
 from slepian_prt.compression.clustering import cluster_axes, spread
+from slepian_prt.compression.decoder import coded_along_principal_axes
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.pilot import learn, pilot_vertices
@@ -253,12 +254,12 @@ def test_adapted_prediction_on_the_skull(data):
         assert packed.predicted_error == pytest.approx(error(packed, transfer), rel=0.1)
 
 
-def test_a_family_is_what_each_would_be_alone(shadowed):
+def test_a_tolerance_sweep_is_what_each_would_be_alone(shadowed):
     """Shared bases and projections change nothing but rounding of the sums."""
     settings = CompressionSettings(clusters=16)
-    family = ToleranceSweep(shadowed, settings, group_transfer(settings, shadowed))
+    sweep = ToleranceSweep(shadowed, settings, group_transfer(settings, shadowed))
     for tolerance in (0.02, 0.05, 0.2, 0.01):  # the last needs more functions than were projected on
-        packed, alone = family.compressed(tolerance), compress(shadowed, tolerance=tolerance, clusters=16)
+        packed, alone = sweep.compress(tolerance), compress(shadowed, tolerance=tolerance, clusters=16)
         assert packed.bytes_per_vertex == pytest.approx(alone.bytes_per_vertex, rel=2e-3)
         assert packed.bases[0].count == alone.bases[0].count
         assert error(packed, shadowed) == pytest.approx(error(alone, shadowed), rel=2e-2)
@@ -267,7 +268,7 @@ def test_a_family_is_what_each_would_be_alone(shadowed):
 
 def test_what_was_coded_is_known_as_it_will_be_decoded(shadowed, tmp_path):
     settings = CompressionSettings(clusters=16)
-    packed = ToleranceSweep(shadowed, settings, group_transfer(settings, shadowed)).compressed(0.05)
+    packed = ToleranceSweep(shadowed, settings, group_transfer(settings, shadowed)).compress(0.05)
     packed.save(tmp_path / "a.prt")
     vertices = np.array([700, 3, 3, 1500])
     for wanted in (None, vertices):
@@ -281,8 +282,8 @@ def test_starting_from_what_much_the_same_was_coded_with(shadowed):
     fewer = precompute(bumpy(4), bandlimit=6, samples=64)
     before = compress(shadowed, tolerance=0.05, clusters=16)
     cold = compress(fewer, tolerance=0.05, clusters=16)
-    start = WarmStart(before.coded.tuning, before.turned)
-    warm = ToleranceSweep(fewer, settings, group_transfer(settings, fewer)).compressed(0.05, start)
+    start = WarmStart(before.coded.tuning, coded_along_principal_axes(before))
+    warm = ToleranceSweep(fewer, settings, group_transfer(settings, fewer)).compress(0.05, start)
     assert error(warm, fewer) <= 0.05 * (1.0 + 1e-6)
     assert warm.bytes_per_vertex <= 1.05 * cold.bytes_per_vertex
-    assert warm.turned == before.turned
+    assert coded_along_principal_axes(warm) == coded_along_principal_axes(before)
