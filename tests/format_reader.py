@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import decimal
 import io
+import itertools
 import json
 import math
 import zipfile
@@ -23,7 +24,7 @@ import numpy as np
 class Cap:
     """One cap as the file holds it: members, what multiplies its functions, and how the numbers scale.
 
-    ``numbers`` are integer multiples of ``scale`` if coded (in principal axes if ``axes`` is not None), floats otherwise.
+    ``numbers`` are integer multiples of ``scale`` if coded (of principal axes if there are ``axes``), floats otherwise.
     """
 
     members: np.ndarray
@@ -50,7 +51,7 @@ def read(path: str | Path) -> File:
     widths = np.broadcast_to(arrays["caps/terms"], caps).astype(int) * manifest["channels"]
     if manifest["coding"] != "coded":
         starts = np.cumsum([0, *(m.size * k for m, k in zip(members, widths, strict=True))])
-        flat = [arrays["coefficients"][a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        flat = [arrays["coefficients"][a:b] for a, b in itertools.pairwise(starts)]
         found = [Cap(m, x.reshape(m.size, k), 1.0, None) for m, x, k in zip(members, flat, widths, strict=True)]
         return File(manifest, arrays, index, found)
     surface = Surface(arrays)
@@ -253,7 +254,8 @@ def decode_cap(words, components, members, surface: Surface, arrays, tables):
                 predicted = (2 * mean * int(gain[int(on_curve), k]) + 32 * total) // (64 * total)
                 multiples[row, k] = predicted + 16 * differences[row, k]
             sizes[row] = sum(abs(differences[row, k]) for k in active)
-    assert coder.state == 0 and not coder.words
+    assert coder.state == 0
+    assert not coder.words
     return order, multiples, axes
 
 
