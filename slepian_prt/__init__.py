@@ -7,41 +7,41 @@
     radiance = sp.relight(packed, lighting)                              # (V, 3)
 
 Transfer and relighting
-    precompute                    Trace what light reaches each vertex of a mesh or scene: its transfer vectors.
-    Transfer                      Transfer vectors and the mesh that they belong to.
-    compress                      Project transfer vectors on few functions per cap and code the coefficients.
-    CompressedTransfer            What a .prt file holds; save, reconstruct, relight, predicted errors.
-    load                          Read a .prt file.
-    relight                       Radiance at the vertices under given lighting.
-    register                      Make the integrator `slepian_prt` known to Mitsuba.
+    precompute                      Trace what light reaches each vertex of a mesh or scene: its transfer vectors.
+    Transfer                        Transfer vectors and the mesh that they belong to.
+    compress                        Project transfer vectors on few functions per cap and code the coefficients.
+    CompressedTransfer              What a .prt file holds; save, reconstruct, relight, predicted errors.
+    load                            Read a .prt file.
+    relight                         Radiance at the vertices under given lighting.
+    register                        Make the integrator `slepian_prt` known to Mitsuba.
 Meshes and light
-    read_mesh, make_mesh          A mesh from a file, or from arrays.
-    Mesh                          Triangles with a normal and an albedo at each vertex.
-    read_environment              An environment map from a file, an array or a Mitsuba emitter.
-    project_environment           A map's spherical harmonic coefficients, in one step.
-    Environment                   An environment map; turn it, project it.
-    falling_prior                 Light prior 1/(l+1): skies without a sun.
-    measured_prior                Light prior from the mean spectrum of some maps.
-    example                       Path of a scene or map that is shipped with the package.
+    read_mesh, make_mesh            A mesh from a file, or from arrays.
+    Mesh                            Triangles with a normal and an albedo at each vertex.
+    read_environment                An environment map from a file, an array or a Mitsuba emitter.
+    project_environment             A map's spherical harmonic coefficients, in one step.
+    Environment                     An environment map; turn it, project it.
+    falling_prior                   Light prior 1/(l+1): skies without a sun.
+    measured_prior                  Light prior from the mean spectrum of some maps.
+    example                         Path of a scene or map that is shipped with the package.
 Functions on the sphere
-    real_sh                       Evaluate all real spherical harmonics up to a bandlimit.
-    rotate_sh                     Rotate spherical harmonic expansions.
-    cap_basis, CapBasis           Slepian functions of a spherical cap, or of transport over it.
-    region_basis, RegionBasis     Slepian functions of a region of any shape.
-    cap_region                    The region inside a cap.
-    polygon_region                The region inside a spherical polygon.
-    mask_region                   The region where a map is not zero.
-    minimal_enclosing_cap         The smallest cap that holds some directions.
-    cosine_lobe                   Zonal coefficients of the clamped cosine and its powers.
-    zonal_coefficients            Zonal coefficients of any lobe.
-    measured_moment, SecondMoment Second moment of transfer vectors in their own frames.
+    real_sh                         Evaluate all real spherical harmonics up to a bandlimit.
+    rotate_sh                       Rotate spherical harmonic expansions.
+    cap_basis, CapBasis             Slepian functions of a spherical cap, or of transport over it.
+    region_basis, RegionBasis       Slepian functions of a region of any shape.
+    cap_region                      The region inside a cap.
+    polygon_region                  The region inside a spherical polygon.
+    mask_region                     The region where a map is not zero.
+    minimal_enclosing_cap           The smallest cap that holds some directions.
+    cosine_lobe                     Zonal coefficients of the clamped cosine and its powers.
+    zonal_coefficients              Zonal coefficients of any lobe.
+    measured_moment, SecondMoment   Second moment of transfer vectors in their own frames.
 Counting functions
-    shannon_number                N, the sum of all concentrations.
-    generalized_shannon_number    N_g of Lessig & Fiume (2010).
-    refined_shannon_number        N_ref, two-term asymptotics.
-    concentration_count           How many concentrations are above a threshold, exactly.
+    shannon_number                  N, the sum of all concentrations.
+    generalized_shannon_number      N_g of Lessig & Fiume (2010).
+    refined_shannon_number          N_ref, two-term asymptotics.
+    concentration_count             How many concentrations are above a threshold, exactly.
 Errors
-    UserError                     A mistake in the input: one line that says what is wrong and what to do.
+    UserError                       A mistake in the input: one line that says what is wrong and what to do.
 
 Names are loaded when they are first used, so the mathematics of the sphere works where Mitsuba cannot run. The
 command line is `slepian-prt`; its manual and the conventions (axes, units, signs) are in the folder docs.
