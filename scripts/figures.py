@@ -15,15 +15,15 @@ import numpy as np
 import slepian_prt as sp
 from slepian_prt.evaluation import pit, spectra
 from slepian_prt.evaluation.compare import compare
-from slepian_prt.evaluation.errors import relative_rms
+from slepian_prt.evaluation.metrics import relative_rms
 from slepian_prt.evaluation.reference import render_reference
 from slepian_prt.evaluation.report import ladder_plot
 from slepian_prt.evaluation.sweep import Axes, sweep
 from slepian_prt.evaluation.sweep_report import fronts
-from slepian_prt.relighting.picture import exposure, to_srgb, trace_camera
-from slepian_prt.scene.environments import make_environment
+from slepian_prt.lighting.environment import make_environment
+from slepian_prt.relighting.pictures import exposure, to_srgb, trace_camera
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.transport.transfer import Job
+from slepian_prt.transport.transfer import TransportSettings
 
 ROOT = Path(__file__).parent.parent
 FIGURES = ROOT / "docs" / "figures"
@@ -46,9 +46,9 @@ def teaser() -> None:
     lighting = sp.project_environment(sky, 10)
     transfer = sp.precompute(path, bandlimit=10, samples=1024)
     full = sp.relight(transfer, lighting)
-    with open_scene(path) as (mi, scene):
-        camera = trace_camera(mi, scene, 420)
-        reference = render_reference(mi, scene, sky, width=420, noise=0.01)
+    with open_scene(path) as scene:
+        camera = trace_camera(scene, 420)
+        reference = render_reference(scene, sky, width=420, noise=0.01)
     pictures = [("path-traced reference", reference.picture), ("full SH, 121 functions", camera.picture(full))]
     for basis in ("adapted", "slepian", "sh"):
         radiance = sp.relight(sp.compress(transfer, basis, terms=16), lighting)
@@ -72,10 +72,10 @@ def effects() -> None:
     for title, wanted in rows:
         transfer = sp.precompute(path, bandlimit=6, samples=1024, effects=wanted)
         radiance = sp.relight(transfer, sp.project_environment(light, 6))
-        with open_scene(path) as (mi, scene):
-            pictures.append((title, trace_camera(mi, scene, 360).picture(radiance)))
-    with open_scene(path) as (mi, scene):
-        reference = render_reference(mi, scene, light, width=360, noise=0.02, bounces=transfer.bounces)
+        with open_scene(path) as scene:
+            pictures.append((title, trace_camera(scene, 360).picture(radiance)))
+    with open_scene(path) as scene:
+        reference = render_reference(scene, light, width=360, noise=0.02, bounces=transfer.bounces)
         pictures.append((f"path-traced, {transfer.bounces} bounces", reference.picture))
     scale = exposure(reference.picture)
     figure, axes = plt.subplots(1, len(pictures), figsize=(14, 3.8))
@@ -93,7 +93,7 @@ def accuracy() -> None:
     """The shipped scene: error against seconds and against bytes, with the settings that are not beaten."""
     scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
     axes = Axes((64, 256, 1024), (5, 10, 15, 20), tolerances=(0.3, 0.2, 0.1, 0.05, 0.02))
-    found = sweep(scene, [sky], axes, Job())
+    found = sweep(scene, [sky], axes, TransportSettings())
     for (_, cost), picture in fronts(found)["figures"].items():
         write(f"accuracy_{cost}", picture)
 
@@ -101,7 +101,7 @@ def accuracy() -> None:
 def ladder() -> None:
     """The shipped scene: what each step from the path-traced picture to coded coefficients adds."""
     scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
-    found = compare(scene, [sky], job=Job(10, 1024), methods=("adapted",), terms=(16,), noise=0.005)
+    found = compare(scene, [sky], transport=TransportSettings(10, 1024), methods=("adapted",), terms=(16,), noise=0.005)
     write("ladder", ladder_plot(found.ladder))
 
 

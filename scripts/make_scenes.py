@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from slepian_prt.scene.variants import mitsuba
+from slepian_prt.renderer.variants import mitsuba
 
 SCENES = Path(__file__).parent.parent / "scenes"
 

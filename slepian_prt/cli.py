@@ -71,7 +71,7 @@ def together(*options: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 # What transport is asked for; the keywords of `Job`.
-job_options = together(
+transport_options = together(
     bandlimit_option, samples_option, effects_option, bounces_option, albedo_option, view_option, seed_option
 )
 
@@ -163,14 +163,14 @@ def spectrum(
     bandlimit: int, half_angle: float, kernel: str, epsilon: float, json_file: str | None, plot_file: str | None
 ) -> None:
     """Eigenvalues of the concentration problem on a cap, and the Shannon numbers that estimate their count."""
-    from slepian_prt.compression import archive
+    from slepian_prt import files
     from slepian_prt.evaluation import spectra
 
     if not 0.0 <= half_angle <= 180.0:
         raise UserError(f"half-angle must be between 0 and 180 degrees, not {half_angle:g}")
     for path in (json_file, plot_file):
         if path is not None:
-            archive.check_writable(path)
+            files.check_writable(path)
     if plot_file is not None and Path(plot_file).suffix.lower() != ".png":
         raise UserError(f"{plot_file}: plots are written as .png")
     result = spectra.spectrum(bandlimit, math.radians(half_angle), kernel, epsilon)
@@ -189,11 +189,11 @@ def spectrum(
     for value, order in zip(result.eigenvalues[:shown], result.orders[:shown], strict=True):
         click.echo(f"  {value:.10g}  (m = {order:+d})")
     if json_file is not None:
-        with archive.atomic_output(json_file) as file:
+        with files.atomic_output(json_file) as file:
             file.write((json.dumps(result.as_dict(), indent=1) + "\n").encode())
     if plot_file is not None:
         content = spectra.plot_spectrum(result)
-        with archive.atomic_output(plot_file) as file:
+        with files.atomic_output(plot_file) as file:
             file.write(content)
 
 
@@ -214,7 +214,7 @@ def spectrum(
     type=click.Path(),
     help="Map that the goal is about; may be given several times.  [default: the light of the .xml scene]",
 )
-@job_options
+@transport_options
 @compression_options
 @grouping_options
 @click.pass_context
@@ -235,20 +235,22 @@ def precompute(
     With --max-error or --max-seconds, rays, bandlimit and tolerance are chosen from a pilot, unless they are given, and
     what came of it is verified on vertices held out.
     """
-    from slepian_prt.budget.goal import Goal
-    from slepian_prt.compression import archive
-    from slepian_prt.compression.pipeline import precompute_compressed
-    from slepian_prt.compression.settings import Settings
-    from slepian_prt.transport.transfer import Job
+    from slepian_prt import files
+    from slepian_prt.accuracy.goal import Goal
+    from slepian_prt.compression.settings import CompressionSettings
+    from slepian_prt.compression.stream import precompute_compressed
+    from slepian_prt.transport.transfer import TransportSettings
 
     started = time.perf_counter()
-    job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
+    transport = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
     aimed = max_error is not None or max_seconds is not None
     if environment and not aimed:
         raise UserError("--environment says what --max-error and --max-seconds are about; give one of them too")
-    settings = Settings(**options, light_prior=None if aimed else read_prior(light_prior, job.bandlimit))
-    settings.check(job.bandlimit)
-    archive.check_writable(output, scene)
+    settings = CompressionSettings(
+        **options, light_prior=None if aimed else read_prior(light_prior, transport.bandlimit)
+    )
+    settings.check(transport.bandlimit)
+    files.check_writable(output, scene)
     if output and Path(output).suffix.lower() != ".prt":
         raise UserError(f"{output}: transfer files end in .prt; name the output so")
     if aimed:
@@ -256,18 +258,18 @@ def precompute(
         goal = Goal(
             max_error,
             max_seconds,
-            samples=job.samples if given["samples"] else None,
-            bandlimit=job.bandlimit if given["bandlimit"] else None,
+            samples=transport.samples if given["samples"] else None,
+            bandlimit=transport.bandlimit if given["bandlimit"] else None,
         )
         goal.check()
-        packed = _precompute_within(scene, goal, read_light(environment, light_prior), settings, job, started)
+        packed = _precompute_within(scene, goal, read_light(environment, light_prior), settings, transport, started)
         packed.save(output)
         click.echo(f"{output}: {_described(packed)}; {time.perf_counter() - started:.1f} s in all")
         return
-    with progress("transport", "vertices") as (advance, tell):
-        packed = precompute_compressed(scene, settings, job, on_plan=print_plan, advance=advance, tell=tell)
-    if job.bounces is not None and packed.bounces < job.bounces:
-        note(f"--bounces {job.bounces} has no effect: no light between surfaces is simulated (see the plan)")
+    with progress("transport", "vertices") as (advance, report):
+        packed = precompute_compressed(scene, settings, transport, on_plan=print_plan, advance=advance, report=report)
+    if transport.bounces is not None and packed.bounces < transport.bounces:
+        note(f"--bounces {transport.bounces} has no effect: no light between surfaces is simulated (see the plan)")
     packed.save(output)
     error = settings.expected_error(packed.expected)
     if not settings.by_number and error > 1.01 * settings.asked:
@@ -290,22 +292,22 @@ def _described(packed: Any) -> str:
     )
 
 
-def _precompute_within(scene: str, goal: Any, light: Any, settings: Any, job: Any, started: float) -> Any:
+def _precompute_within(scene: str, goal: Any, light: Any, settings: Any, transport: Any, started: float) -> Any:
     """Run towards a goal and tell what was foreseen and what came of it."""
-    from slepian_prt.budget.run import precompute_within
+    from slepian_prt.accuracy.run import precompute_within
 
-    with progress("transport", "vertices") as (advance, tell):
+    with progress("transport", "vertices") as (advance, report):
         found = precompute_within(
             scene,
             goal,
             light,
             settings,
-            job,
+            transport,
             started=started,
             on_plan=print_plan,
             on_choice=print_choices,
             advance=advance,
-            tell=tell,
+            report=report,
         )
     checked = found.verification
     for name, error, predicted, noise in zip(
@@ -447,7 +449,7 @@ def relight(
 @click.option("-o", "--output", required=True, type=click.Path(), help="Folder for report.html, results.json, figures.")
 @click.option("--basis", "bases", multiple=True, help="Only these methods; may be given several times.")
 @click.option("--terms", "terms", multiple=True, type=int, help="Numbers of functions; may be given several times.")
-@job_options
+@transport_options
 @grouping_options
 @rotate_option
 @clamp_option
@@ -477,42 +479,42 @@ def compare(
 
     The light of adapted+light is the mean spectrum of the maps.
     """
-    from slepian_prt.compression.archive import check_folder
-    from slepian_prt.compression.settings import Settings
-    from slepian_prt.evaluation import report
+    from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.evaluation.compare import DEFAULT_TERMS
     from slepian_prt.evaluation.compare import compare as run
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
+    from slepian_prt.evaluation.report import write_report
     from slepian_prt.evaluation.sweep import Sweep
-    from slepian_prt.transport.transfer import Job
+    from slepian_prt.files import check_folder
+    from slepian_prt.transport.transfer import TransportSettings
 
-    job = Job(**_take(options, Job), albedo=read_albedo(options.pop("albedo")))
-    grouping = Settings(**options)
-    grouping.check(job.bandlimit)
+    transport = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
+    grouping = CompressionSettings(**options)
+    grouping.check(transport.bandlimit)
     check_methods(bases)
     for k in terms:
-        Settings(terms=k).check(job.bandlimit)
+        CompressionSettings(terms=k).check(transport.bandlimit)
     check_width(width)
     check_folder(output)
     found = None if swept is None else Sweep.read(swept)
     if found is not None and Path(found.source).name != Path(scene).name:
         raise UserError(f"{swept}: is a sweep of {found.source}, not of {scene}; name that of this scene")
     maps = read_maps(environment, clamp_negative, rotate)
-    with progress("transport", "vertices") as (advance, tell):
+    with progress("transport", "vertices") as (advance, report):
         comparison = run(
             scene,
             maps,
-            job=job,
+            transport=transport,
             grouping=grouping,
             methods=bases or DEFAULT_METHODS,
             terms=terms or DEFAULT_TERMS,
             width=width,
             noise=noise,
-            status=tell,
+            report=report,
             on_plan=print_plan,
             advance=advance,
         )
-    page = report.write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), found)
+    page = write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), found)
     lights = f"{len(comparison.views)} environment{'s' if len(comparison.views) > 1 else ''}"
     click.echo(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
 
@@ -567,10 +569,10 @@ def sweep(
 
     Stopped or killed, the same command goes on from the settings that were finished.
     """
-    from slepian_prt.compression.archive import check_folder
     from slepian_prt.evaluation import sweep as sweeping
     from slepian_prt.evaluation.sweep_report import describe, write_sweep
-    from slepian_prt.transport.transfer import Job
+    from slepian_prt.files import check_folder
+    from slepian_prt.transport.transfer import TransportSettings
 
     axes = sweeping.Axes(
         _numbers(int, samples, "samples"),
@@ -581,14 +583,22 @@ def sweep(
         (None,) if bounces is None else _numbers(int, bounces, "bounces"),
     )
     axes.check()
-    job = Job(effects=effects, albedo=read_albedo(albedo), seed=seed)
+    transport = TransportSettings(effects=effects, albedo=read_albedo(albedo), seed=seed)
     check_noise(noise)
     check_folder(output)
     maps = read_maps(environment, clamp_negative, rotate)
     journal = Path(output) / "sweep.partial.jsonl"
-    with progress("settings", "settings") as (advance, tell):
+    with progress("settings", "settings") as (advance, report):
         found = sweeping.sweep(
-            scene, maps, axes, job, noise=noise, journal=journal, tell=tell, advance=advance, on_plan=print_plan
+            scene,
+            maps,
+            axes,
+            transport,
+            noise=noise,
+            journal=journal,
+            report=report,
+            advance=advance,
+            on_plan=print_plan,
         )
     found = replace(found, command="slepian-prt " + shlex.join(sys.argv[1:]))
     page = write_sweep(found, output)
@@ -644,13 +654,13 @@ def progress(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], None],
                 task = bar.add_task(name, total=total)
             bar.advance(task, done)
 
-        def tell(what: str) -> None:
+        def report(what: str) -> None:
             if console.is_terminal:
                 if task is not None:
                     bar.update(task, visible=False)
                 console.print(Text(what, style="dim"))
 
-        yield advance, tell
+        yield advance, report
 
 
 def print_plan(effects: Sequence[Any]) -> None:
@@ -719,8 +729,9 @@ def read_albedo(text: str | None) -> list[float] | None:
 
 def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
     """The light prior that is named: 1/(l+1), or maps; None if there is none."""
-    from slepian_prt.compression.light_prior import FALLING, falling_prior, measured_prior
-    from slepian_prt.scene.environments import project_environment, read_environment
+    from slepian_prt.lighting.environment import read_environment
+    from slepian_prt.lighting.projection import project_environment
+    from slepian_prt.lighting.spectrum import FALLING, falling_prior, measured_prior
 
     if not given:
         return None
@@ -738,8 +749,8 @@ def read_prior(given: tuple[str, ...], bandlimit: int) -> Any:
 
 def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Any:
     """What a goal is about."""
-    from slepian_prt.budget.run import Light
-    from slepian_prt.compression.light_prior import FALLING
+    from slepian_prt.accuracy.run import Light
+    from slepian_prt.lighting.spectrum import FALLING
 
     if "" in light_prior or (FALLING in light_prior and len(light_prior) > 1):
         read_prior(tuple(light_prior), 0)  # says what is wrong
@@ -750,7 +761,7 @@ def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Any:
 
 def read_maps(paths: Sequence[str], clamp_negative: bool, rotate: float) -> list[Any]:
     """The environments that are named; what was mended in them is noted."""
-    from slepian_prt.scene.environments import check_names, read_environment
+    from slepian_prt.lighting.environment import check_names, read_environment
 
     check_names(paths)
     maps = [read_environment(path, clamp_negative=clamp_negative).rotated(rotate) for path in paths]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from slepian_prt.scene.meshes import Mesh, make_mesh
+from slepian_prt.scene.mesh import Mesh, make_mesh
 
 ROOT = Path(__file__).parent.parent
 

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 from slepian_prt.cli import _run
-from slepian_prt.scene.variants import bitmap_module
+from slepian_prt.renderer.variants import bitmap_module
 from tests.conftest import bumpy
 
 COMMAND = [sys.executable, "-m", "slepian_prt"]

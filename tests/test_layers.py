@@ -43,7 +43,7 @@ def test_every_public_name_exists():
 def test_the_users_variant_comes_back():
     code = """
 import slepian_prt as sp
-from slepian_prt.scene.variants import mitsuba
+from slepian_prt.renderer.variants import mitsuba
 import mitsuba as mi
 mi.set_variant("scalar_rgb")
 with mitsuba() as inside:

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import slepian_prt as sp
 from slepian_prt.compression.baselines import haar_transfer
-from slepian_prt.compression.clusters import cluster_axes
-from slepian_prt.scene.environments import emitted_environment
-from slepian_prt.scene.variants import mitsuba
+from slepian_prt.compression.clustering import cluster_axes
+from slepian_prt.lighting.emitters import emitted_environment
+from slepian_prt.renderer.variants import mitsuba
 
 MESHES = ("skull", "nefertiti")
 MAPS = ("studio", "courtyard", "interior", "sunrise")

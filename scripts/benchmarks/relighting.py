@@ -9,11 +9,11 @@ import numpy as np
 from benchmarks.common import DRAGONS, data_folder, line, median_seconds
 
 import slepian_prt as sp
-from slepian_prt.compression.pipeline import precompute_compressed
-from slepian_prt.compression.settings import Settings
-from slepian_prt.scene.environments import read_environment
-from slepian_prt.scene.projection import clenshaw_curtis
-from slepian_prt.transport.transfer import Job
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.lighting.environment import read_environment
+from slepian_prt.lighting.texel_projection import clenshaw_curtis
+from slepian_prt.transport.transfer import TransportSettings
 
 _RUNS = 15
 
@@ -24,17 +24,36 @@ def relighting() -> None:
     studio = environments / "studio.exr"
     skull = data_folder() / "meshes" / "skull.ply"
     _project(environments / "studio.exr")
-    _relight("skull, L = 10, K = 16", precompute_compressed(str(skull), Settings(terms=16), Job(10, 1024)), studio)
-    _relight("skull, L = 10, default", precompute_compressed(str(skull), Settings(), Job(10, 1024)), studio)
-    _relight("skull, L = 20, K = 16", precompute_compressed(str(skull), Settings(terms=16), Job(20, 1024)), studio)
-    _relight("skull, L = 20, default", precompute_compressed(str(skull), Settings(), Job(20, 1024)), studio)
+    _relight(
+        "skull, L = 10, K = 16",
+        precompute_compressed(str(skull), CompressionSettings(terms=16), TransportSettings(10, 1024)),
+        studio,
+    )
+    _relight(
+        "skull, L = 10, default",
+        precompute_compressed(str(skull), CompressionSettings(), TransportSettings(10, 1024)),
+        studio,
+    )
+    _relight(
+        "skull, L = 20, K = 16",
+        precompute_compressed(str(skull), CompressionSettings(terms=16), TransportSettings(20, 1024)),
+        studio,
+    )
+    _relight(
+        "skull, L = 20, default",
+        precompute_compressed(str(skull), CompressionSettings(), TransportSettings(20, 1024)),
+        studio,
+    )
     _integrator(str(skull), studio)
     dragon = DRAGONS / "dragon_vrip.ply"
     if not dragon.is_file():
         line("dragon", "not here, left out; scripts/fetch_dragons fetches it")
         return
-    for settings, name in ((Settings(terms=16), "K = 16"), (Settings(tolerance=0.05), "tolerance 0.05")):
-        packed = precompute_compressed(str(dragon), settings, Job(20, 1024))
+    for settings, name in (
+        (CompressionSettings(terms=16), "K = 16"),
+        (CompressionSettings(tolerance=0.05), "tolerance 0.05"),
+    ):
+        packed = precompute_compressed(str(dragon), settings, TransportSettings(20, 1024))
         _relight(f"dragon of {len(packed.mesh.positions):,} vertices, L = 20, {name}", packed, studio)
 
 
@@ -86,14 +105,14 @@ def _relight(name: str, packed: sp.CompressedTransfer, environment: Path) -> Non
 
 
 def _integrator(mesh: str, environment: Path) -> None:
-    from slepian_prt.scene.variants import imported_mitsuba, prepare_llvm
+    from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
 
     prepare_llvm()
     mi = imported_mitsuba()
     mi.set_variant("llvm_ad_rgb")
     sp.register()
     with tempfile.TemporaryDirectory() as folder:
-        precompute_compressed(mesh, Settings(), Job(10, 1024)).save(Path(folder) / "file.prt")
+        precompute_compressed(mesh, CompressionSettings(), TransportSettings(10, 1024)).save(Path(folder) / "file.prt")
         scene = mi.load_dict({
             "type": "scene", "emitter": {"type": "envmap", "filename": str(environment)},
             "skull": {"type": "ply", "filename": mesh},

@@ -15,8 +15,8 @@ from benchmarks.common import DRAGONS, PEAK_MEMORY, data_folder, in_child, line
 
 import slepian_prt as sp
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.meshes import morton
-from slepian_prt.transport.directions import direction_net
+from slepian_prt.scene.receivers import morton
+from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.effects import Survey
 from slepian_prt.transport.interreflection import gather_operator
 from slepian_prt.transport.visibility import VisibilityTracer, shadowed_transfer
@@ -64,25 +64,25 @@ def transport() -> None:
 
 def _throughput(path: Path, bandlimit: int) -> None:
     ours, raw, stages = [], [], defaultdict(list)
-    with open_scene(path) as (mi, scene):
-        plan = Survey.of(mi, scene).plan(bandlimit, SAMPLES)
+    with open_scene(path) as scene:
+        plan = Survey.of(scene).plan(bandlimit, SAMPLES)
         positions = scene.traced_positions
         order = plan.shadowed[np.argsort(morton(positions[plan.shadowed]), kind="stable")]
-        net = direction_net(plan.nodes)
+        net = direction_set(plan.nodes)
         block = max(1, (1 << 21) // net.size)
         begin = time.perf_counter()
-        shadowed_transfer(mi, scene, bandlimit, plan.nodes, plan.shadowed[:block], 0)
+        shadowed_transfer(scene, bandlimit, plan.nodes, plan.shadowed[:block], 0)
         first = time.perf_counter() - begin
         for _ in range(RUNS):
             begin = time.perf_counter()
-            rays = shadowed_transfer(mi, scene, bandlimit, plan.nodes, plan.shadowed, 0)[2]
+            rays = shadowed_transfer(scene, bandlimit, plan.nodes, plan.shadowed, 0)[2]
             ours.append(time.perf_counter() - begin)
-            tracer = VisibilityTracer(mi, scene, bandlimit, net, 0)
-            tracer.geometry = timed = _Timed(scene.geometry(mi))
+            tracer = VisibilityTracer(scene, bandlimit, net, 0)
+            tracer.geometry = timed = _Timed(scene.geometry)
             for start in range(0, order.size, block):
                 tracer.look(order[start : start + block])
             raw.append(timed.seconds)
-            tracer.geometry = scene.geometry(mi)
+            tracer.geometry = scene.geometry
             traced = projected = 0.0
             for start in range(0, order.size, block):
                 begin = time.perf_counter()
@@ -93,7 +93,7 @@ def _throughput(path: Path, bandlimit: int) -> None:
             stages["trace"].append(traced)
             stages["project"].append(projected)
             begin = time.perf_counter()
-            gather_operator(mi, scene, SAMPLES // 4, plan.shadowed, None, 1)
+            gather_operator(scene, SAMPLES // 4, plan.shadowed, None, 1)
             stages["gather"].append(time.perf_counter() - begin)
         peer = _embree(timed.kept[0], scene)
     name = f"{path.stem}, L = {bandlimit}"
@@ -146,7 +146,7 @@ def dragons() -> None:
         for name in ("dragon_vrip_res4", "dragon_vrip_res3", "dragon_vrip_res2", "dragon_vrip"):
             path = DRAGONS / f"{name}.ply"
             code = (
-                "import tempfile, pathlib, time; from slepian_prt.compression.pipeline import precompute_compressed;"
+                "import tempfile, pathlib, time; from slepian_prt.compression.stream import precompute_compressed;"
                 "from slepian_prt.compression.settings import Settings; from slepian_prt.transport.transfer import Job;"
                 "begin = time.perf_counter();"
                 f"p = precompute_compressed({str(path)!r}, Settings(tolerance=0.05), Job({bandlimit}));"

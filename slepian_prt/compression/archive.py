@@ -6,21 +6,18 @@ arrays are stored as they are, so that they can be mapped or read in part; the o
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
-import os
-import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.files import atomic_output
 
 FORMAT = "slepian_prt transfer"
 VERSION = 2
@@ -91,92 +88,6 @@ def encoded_size(arrays: dict[str, NDArray]) -> int:
         for name, array in arrays.items():
             _add(container, f"{name}.npy", _npy(array), _compression(array))
     return counter.tell() - empty
-
-
-@contextlib.contextmanager
-def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
-    """A file that appears under its name only when the with-block ends well; otherwise nothing is left.
-
-    Raises
-    ------
-    UserError
-        The folder is missing or not writable, or the disk is full.
-    """
-    path = Path(path)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a file")
-    try:
-        file = partial.open("wb")
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot be written ({error.strerror or error}); choose another folder for the output"
-        ) from None
-    try:
-        with file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError as error:
-        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-def check_writable(path: str | Path, *inputs: str | Path) -> None:
-    """Raise UserError now if `atomic_output` could not begin or would replace an input, not after the heavy work."""
-    if not str(path):
-        raise UserError("the name of the output is empty; name a file")
-    path = Path(path)
-    for source in inputs:
-        if path.exists() and Path(source).exists() and path.samefile(source):
-            raise UserError(f"{path}: is the input; choose another name for the output")
-    folder = path.parent
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a file")
-    if path.exists() and not path.is_file():
-        raise UserError(f"{path}: is not a regular file; choose another name for the output")
-    if not folder.is_dir():
-        raise UserError(f"{path}: the folder {folder} does not exist; create it or choose another")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise UserError(f"{path}: the folder {folder} is not writable; choose another folder for the output")
-
-
-def check_folder(folder: str | Path) -> None:
-    """Raise UserError now, not after the heavy work, if a folder that need not be there yet cannot be written to."""
-    if not str(folder):
-        raise UserError("the name of the output folder is empty; name a folder")
-    folder = Path(folder)
-    existing = folder
-    while not existing.exists() and existing != existing.parent:
-        existing = existing.parent
-    try:
-        if not existing.is_dir():
-            raise UserError(f"{folder}: {existing} is not a folder; choose another")
-        probe = existing / f".slepian-prt-{os.getpid():x}"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UserError(
-            f"{folder}: cannot be written to ({error.strerror or error}); choose another folder for the output"
-        ) from None
-
-
-def write_all(folder: Path, files: dict[str, bytes]) -> None:
-    """All files or, if one cannot be written, none: they are put into place when all are on the disk."""
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as partial:
-            for name, content in files.items():
-                (Path(partial) / name).write_bytes(content)
-            folder.mkdir(exist_ok=True)
-            for name in files:
-                (Path(partial) / name).replace(folder / name)
-    except OSError as error:
-        raise UserError(
-            f"{folder}: cannot be written ({error.strerror or error}); choose another folder for the output"
-        ) from None
 
 
 def _add(container: zipfile.ZipFile, name: str, content: bytes, compression: int) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from slepian_prt.compression.bases import Candidate, LinearBasis
-from slepian_prt.compression.clusters import Clusters, enclosed
+from slepian_prt.compression.clustering import Clusters, enclosed
 from slepian_prt.compression.pilot import decorrelated
 from slepian_prt.compression.prediction import by_degree
 from slepian_prt.sphere.harmonics import real_sh
@@ -66,7 +66,7 @@ def principal(vectors: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def iterate_clusters(
-    clusters: Clusters, axes: NDArray, vectors: NDArray, terms: int, tell: Callable[[str], None] = lambda _: None
+    clusters: Clusters, axes: NDArray, vectors: NDArray, terms: int, report: Callable[[str], None] = lambda _: None
 ) -> Clusters:
     """Clusters by reconstruction error (Sloan et al. 2003, Sec. 5): assign, fit mean and components, and again.
 
@@ -84,7 +84,7 @@ def iterate_clusters(
     index = clusters.index.astype(np.int64)
     last = math.inf
     for iteration in range(_ITERATIONS):
-        tell(f"clustered PCA, {terms} terms: clustering, pass {iteration + 1}")
+        report(f"clustered PCA, {terms} terms: clustering, pass {iteration + 1}")
         fits = [principal(mixed[index == c]) for c in np.unique(index)]
         near = _nearest_means(mixed, np.array([mean for mean, _, _ in fits], dtype=np.float32))
         error = np.full(count, np.inf)

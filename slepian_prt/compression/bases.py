@@ -98,7 +98,7 @@ class LinearBasis:
             found.__dict__["functions"] = self.functions[:count]
         return found
 
-    def halved(self) -> LinearBasis:
+    def as_float16(self) -> LinearBasis:
         """The basis with all that is stored of it in float16."""
         parts = (None if part is None else part.astype(np.float16) for part in (self.radial, self.dense, self.mean))
         radial, dense, mean = parts

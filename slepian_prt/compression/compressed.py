@@ -6,26 +6,28 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-import slepian_prt
-from slepian_prt.compression import archive, codec
+from slepian_prt.compression import archive
 from slepian_prt.compression.bases import LinearBasis, shared_half_angle
-from slepian_prt.compression.clusters import Clusters, clusters_of_sites, enclosed
-from slepian_prt.compression.light_prior import falling_prior, light_power
+from slepian_prt.compression.clustering import Clusters, clusters_of_sites, enclosed
+from slepian_prt.compression.codec import caps as codec
+from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.operator import Factors, TransferOperator, without_the_least
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer, channel_mixing
 from slepian_prt.compression.prediction import Expectation
-from slepian_prt.compression.surface import surface_of
 from slepian_prt.errors import UserError
-from slepian_prt.scene.cameras import View
-from slepian_prt.scene.meshes import Mesh, morton
-from slepian_prt.scene.scenes import Part
+from slepian_prt.lighting.spectrum import falling_prior, light_power
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.scene import Part
+from slepian_prt.scene.sensors import View
 from slepian_prt.slepian.concentration import cap_basis, scatter_radial
 from slepian_prt.sphere.caps import Cap
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
@@ -180,9 +182,9 @@ class CompressedTransfer:
         mixing = channel_mixing(self.channels)
         decoded = self.__dict__.get("_decoded")
         caps = self.clusters.index[wanted]
-        for c in np.unique(caps[self.mesh.receivers[wanted]]):
+        for c in np.unique(caps[self.mesh.receivers.active[wanted]]):
             members, basis = self.clusters.members[c], self.bases[c]
-            rows = np.flatnonzero((caps == c) & self.mesh.receivers[wanted])
+            rows = np.flatnonzero((caps == c) & self.mesh.receivers.active[wanted])
             found = self.cap(int(c))[1] if decoded is None else decoded[c]
             values = found.values[np.searchsorted(members, wanted[rows])]
             if found.axes is not None:
@@ -229,7 +231,7 @@ class CompressedTransfer:
             functions = np.concatenate([functions, np.einsum("km,c->kcm", model, mixing[0]).reshape(len(model), -1)])
             columns.append(along)
         values = np.concatenate(columns, axis=1)
-        values[~self.mesh.receivers[self.clusters.members[c]]] = 0.0
+        values[~self.mesh.receivers.active[self.clusters.members[c]]] = 0.0
         return Factors(values, functions.reshape(-1, self.channels, size))
 
     @cached_property
@@ -335,7 +337,7 @@ class CompressedTransfer:
             "view": None if self.view is None else self.view.as_dict(),
             "toward_view": self.toward_view,
             "verified": self.verified,
-            "written_by": f"slepian_prt {slepian_prt.__version__}",
+            "written_by": f"slepian_prt {version('slepian_prt')}",
         }
         mesh: dict[str, NDArray] = {
             "mesh/positions": self.mesh.positions,

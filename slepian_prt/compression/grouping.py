@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.clusters import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
-from slepian_prt.compression.settings import Settings
-from slepian_prt.scene.meshes import Mesh
-from slepian_prt.transport.directions import SMALLEST_NET
-from slepian_prt.transport.transfer import Ready, Transfer
+from slepian_prt.compression.clustering import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.transport.directions import SMALLEST_SET
+from slepian_prt.transport.transfer import PlannedScene, Transfer
 from slepian_prt.transport.visibility import DirectTransfer
 
 
@@ -29,7 +29,7 @@ class Grouping(NamedTuple):
     axes: NDArray[np.float64]
 
 
-def grouped(settings: Settings, transfer: Transfer) -> Grouping:
+def grouped(settings: CompressionSettings, transfer: Transfer) -> Grouping:
     """Clusters as asked, from vectors that are there."""
     first = transfer.vectors.mean(axis=1)
     open_part = first[:, 0] * np.float32(math.sqrt(4.0 * math.pi))
@@ -39,12 +39,12 @@ def grouped(settings: Settings, transfer: Transfer) -> Grouping:
     return _cluster(settings, transfer.mesh, axes, open_part)
 
 
-def surveyed(settings: Settings, ready: Ready) -> Grouping:
+def surveyed(settings: CompressionSettings, planned: PlannedScene) -> Grouping:
     """Clusters as asked, before transfer is there: after a quick look around if that takes one."""
-    mesh = ready.scene.mesh
+    mesh = planned.scene.mesh
     axes, openness = mesh.normals, np.ones(len(mesh.positions), dtype=np.float32)
     if settings.group_by == "bent" or settings.occlusion_classes > 1:
-        quick = DirectTransfer(ready.mi, ready.scene, 1, SMALLEST_NET, ready.plan.shadowed, ready.job.seed)
+        quick = DirectTransfer(planned.scene, 1, SMALLEST_SET, planned.plan.shadowed, planned.settings.seed)
         vectors, blocked = quick.of(np.arange(len(mesh.positions)))
         openness = 1.0 - blocked
         if settings.group_by == "bent":
@@ -68,7 +68,7 @@ def bent_normals(vectors: NDArray, normals: NDArray) -> NDArray[np.float64]:
     )
 
 
-def _cluster(settings: Settings, mesh: Mesh, axes: NDArray, openness: NDArray) -> Grouping:
+def _cluster(settings: CompressionSettings, mesh: Mesh, axes: NDArray, openness: NDArray) -> Grouping:
     if settings.group_by == "surface":
         clusters = cluster_surface(mesh, axes, settings.clusters)
     elif settings.occlusion_classes > 1:

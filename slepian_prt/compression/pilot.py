@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.clusters import Clusters
+from slepian_prt.compression.clustering import Clusters
 from slepian_prt.slepian.kernels import SecondMoment, measured_moment, zonal_vectors
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to

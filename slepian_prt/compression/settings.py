@@ -9,9 +9,9 @@ import numpy as np
 
 from slepian_prt.compression import truncation
 from slepian_prt.compression.bases import ANALYTIC
-from slepian_prt.compression.light_prior import LightPrior
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
+from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import LARGEST_BANDLIMIT
 
@@ -26,7 +26,7 @@ LARGEST_CLASSES = 16
 
 
 @dataclass(frozen=True)
-class Settings:
+class CompressionSettings:
     """How to compress.
 
     Attributes

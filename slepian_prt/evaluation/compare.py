@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-import slepian_prt
 from slepian_prt.compression.grouping import grouped
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.errors import UserError, check_terms
-from slepian_prt.evaluation.errors import relative_rms, seam
 from slepian_prt.evaluation.ladder import Rung, Stage, ladder
 from slepian_prt.evaluation.methods import DEFAULT_METHODS, Entry, check_methods, entries
+from slepian_prt.evaluation.metrics import relative_rms, seam
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
-from slepian_prt.relighting.picture import Camera, Picture, trace_camera
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.projection import project_environment
+from slepian_prt.relighting.pictures import Camera, Picture, trace_camera
 from slepian_prt.relighting.relight import negative_part, relight
-from slepian_prt.scene.environments import Environment, project_environment
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.scenes import Scene
+from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Job, Transfer
+from slepian_prt.transport.transfer import Transfer, TransportSettings
 
 DEFAULT_TERMS = (4, 9, 16, 25, 36)
 
@@ -75,7 +75,7 @@ class Comparison:
     """Everything that the report shows."""
 
     transfer: Transfer
-    grouping: Settings
+    grouping: CompressionSettings
     clusters: int
     half_angles: tuple[float, float]
     methods: tuple[Method, ...]
@@ -120,8 +120,8 @@ def versions() -> dict[str, str]:
     """Versions of what a result depends on."""
     packages = ("mitsuba", "drjit", "numpy", "scipy")
     return {
-        "slepian_prt": slepian_prt.__version__,
-        **{name: importlib.metadata.version(name) for name in packages},
+        "slepian_prt": version("slepian_prt"),
+        **{name: version(name) for name in packages},
         "python": platform.python_version(),
     }
 
@@ -130,13 +130,13 @@ def compare(
     scene: str | Path,
     environments: Sequence[Environment],
     *,
-    job: Job | None = None,
-    grouping: Settings | None = None,
+    transport: TransportSettings | None = None,
+    grouping: CompressionSettings | None = None,
     methods: Sequence[str] = DEFAULT_METHODS,
     terms: Sequence[int] = DEFAULT_TERMS,
     width: int | None = None,
     noise: float = 0.01,
-    status: Status = lambda _: None,
+    report: Status = lambda _: None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Comparison:
@@ -146,13 +146,13 @@ def compare(
     ----------
     scene : path
     environments : maps; without any, the light of a Mitsuba scene itself
-    job : what is asked of transport
+    transport : what is asked of transport
     grouping : what is grouped into caps; the rest of it does not count
     methods, terms : every method is tried with every number of terms that the bandlimit allows
     on_plan : as of `precompute`
     width : of the pictures
     noise : wanted relative RMS noise of the path-traced references
-    status : told what begins
+    report : told what begins
     advance : as in `precompute`
 
     Raises
@@ -163,17 +163,17 @@ def compare(
         raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
-    job, grouping = job or Job(), grouping or Settings()
+    transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
     check_methods(methods)
-    bandlimit = int(job.bandlimit)
+    bandlimit = int(transport.bandlimit)
     size = num_coefficients(bandlimit)
     for k in terms:
         check_terms(k, 1 << 20)
     wanted = sorted({k for k in terms if k <= size}) or [size]
     started = time.perf_counter()
-    status("transport")
-    with job.opened(scene, on_plan) as ready:
-        transfer = ready.transfer(advance)
+    report("transport")
+    with transport.opened(scene, on_plan) as planned:
+        transfer = planned.transfer(advance)
     if not environments:
         if transfer.environment is None:
             raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
@@ -182,18 +182,18 @@ def compare(
     clusters = made.clusters
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]
-    with open_scene(scene, albedo=job.albedo, view=job.view) as (mi, opened):
-        status("camera")
-        camera = trace_camera(mi, opened, width)
+    with open_scene(scene, albedo=transport.albedo, view=transport.view) as opened:
+        report("camera")
+        camera = trace_camera(opened, width)
         views = [
-            _view(mi, opened, transfer, environment, camera, radiance, width, noise, status)
+            _view(opened, transfer, environment, camera, radiance, width, noise, report)
             for environment, radiance in zip(environments, full, strict=True)
         ]
     shown = min(wanted, key=lambda k: abs(k - 16))
     seen = _Seen(transfer, lighting, full, views, camera)
     measured = []
     lossy: dict[str, tuple[str, Entry]] = {}
-    for entry in entries(transfer, made, methods, wanted, lighting, status):
+    for entry in entries(transfer, made, methods, wanted, lighting, report):
         measured.append(seen.measured(entry))
         if entry.method == methods[0] and (entry.asked == shown or entry.coding == "coded"):
             # Of the coded ones the last, which is the most exact.
@@ -201,7 +201,7 @@ def compare(
             lossy[entry.coding] = (title, entry)
         if entry.asked == shown:
             seen.keep_pictures(entry)
-    status("ladder")
+    report("ladder")
     rungs = seen.rungs(list(lossy.values()))
     angles = [cap.half_angle for cap in clusters.caps]
     return Comparison(
@@ -219,7 +219,6 @@ def compare(
 
 
 def _view(
-    mi: Any,
     scene: Scene,
     transfer: Transfer,
     environment: Environment,
@@ -227,15 +226,15 @@ def _view(
     full: NDArray,
     width: int | None,
     noise: float,
-    status: Status,
+    report: Status,
 ) -> View:
     """References and the picture of full SH radiance, (V, 3), under one environment."""
-    status(f"path-traced reference under {environment.name}")
-    reference = render_reference(mi, scene, environment, width=width, noise=noise, bounces=transfer.bounces)
+    report(f"path-traced reference under {environment.name}")
+    reference = render_reference(scene, environment, width=width, noise=noise, bounces=transfer.bounces)
     reference = replace(reference, picture=camera.masked(reference.picture))
-    status(f"reference at the vertices under {environment.name}")
+    report(f"reference at the vertices under {environment.name}")
     toward = transfer.view if transfer.toward_view else None
-    vertices = vertex_reference(mi, scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
+    vertices = vertex_reference(scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
     return View(environment, reference, vertices, camera.picture(vertices.radiance), camera.picture(full))
 
 

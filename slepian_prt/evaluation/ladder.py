@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.evaluation.errors import Deviation, deviation, flip, picture_deviation, relative_mse
-from slepian_prt.relighting.picture import Camera, Picture, exposure
+from slepian_prt.evaluation.metrics import Deviation, deviation, flip, picture_deviation, relative_mse
+from slepian_prt.relighting.pictures import Camera, Picture, exposure
 
 IN_PICTURE = "path-traced picture"
 AT_VERTICES = "radiance at the vertices"

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from slepian_prt.compression.baselines import haar_transfer, iterate_clusters
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping
-from slepian_prt.compression.light_prior import measured_prior
-from slepian_prt.compression.pipeline import USUAL_TERMS, compress
 from slepian_prt.compression.settings import BASES
+from slepian_prt.compression.stream import USUAL_TERMS, compress
 from slepian_prt.errors import UserError
+from slepian_prt.lighting.spectrum import measured_prior
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import Transfer
 
@@ -91,27 +91,27 @@ def entries(
     methods: Sequence[str],
     terms: Sequence[int],
     lighting: Sequence[NDArray],
-    status: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> Iterator[Entry]:
     """Every method with every number of terms, some coded to every tolerance, and full SH last."""
     for method in methods:
         if method == "d3dx":
-            status("d3dx")
+            report("d3dx")
             yield _timed(method, "float16", _D3DX_TERMS, None, lambda: _d3dx(transfer, clusters))
             continue
         for k in terms:
-            status(f"{method}, {k} terms")
+            report(f"{method}, {k} terms")
             if method == "haar":
                 yield _haar(transfer, k)
             else:
                 yield _compressed(transfer, clusters, method, lighting, terms=k, coding="float16")
         if method == "cpca":
-            yield from _cpca_coded(transfer, clusters, status)
+            yield from _cpca_coded(transfer, clusters, report)
             continue
         for tolerance in _CODED_TOLERANCES if method in _CODED else ():
-            status(f"{method}, coded to {tolerance:g}")
+            report(f"{method}, coded to {tolerance:g}")
             yield _compressed(transfer, clusters, method, lighting, tolerance=tolerance)
-    status("full SH")
+    report("full SH")
     yield _compressed(transfer, clusters, "none", lighting, coding="float16")
 
 
@@ -140,13 +140,13 @@ def _compressed(
     return Entry(method, packed.coding, packed.terms, terms, packed, packed.seconds["compress"])
 
 
-def _cpca_coded(transfer: Transfer, clusters: Grouping, status: Callable[[str], None]) -> Iterator[Entry]:
+def _cpca_coded(transfer: Transfer, clusters: Grouping, report: Callable[[str], None]) -> Iterator[Entry]:
     """Clusters are iterated once for all tolerances, and that time counts each time."""
     begin = time.perf_counter()
-    iterated = iterate_clusters(clusters.clusters, transfer.axes, transfer.vectors, USUAL_TERMS, status)
+    iterated = iterate_clusters(clusters.clusters, transfer.axes, transfer.vectors, USUAL_TERMS, report)
     seconds = time.perf_counter() - begin
     for tolerance in _CODED_TOLERANCES:
-        status(f"cpca, coded to {tolerance:g}")
+        report(f"cpca, coded to {tolerance:g}")
         packed = compress(transfer, "pca", tolerance=tolerance, clusters=iterated)
         yield Entry("cpca", packed.coding, packed.terms, None, packed, seconds + packed.seconds["compress"])
 

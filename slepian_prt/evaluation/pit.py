@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.scene.meshes import Mesh, make_mesh
+from slepian_prt.scene.mesh import Mesh, make_mesh
 from slepian_prt.sphere.harmonics import legendre_polynomials
 from slepian_prt.sphere.quadrature import gauss_legendre
 from slepian_prt.transport.transfer import precompute

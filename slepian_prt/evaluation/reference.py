@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.relighting.picture import Picture, split_alpha
-from slepian_prt.scene.cameras import View, sensor
-from slepian_prt.scene.environments import Environment
-from slepian_prt.scene.scenes import Scene, mitsuba_scene
-from slepian_prt.transport.buried import borrow
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.relighting.pictures import Picture, split_alpha
+from slepian_prt.scene.scene import Scene, mitsuba_scene
+from slepian_prt.scene.sensors import View, sensor
+from slepian_prt.transport.interior import borrow
 
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
@@ -53,7 +53,6 @@ def environment_emitter(mi: Any, environment: Environment) -> dict[str, Any]:
 
 
 def render_reference(
-    mi: Any,
     scene: Scene,
     environment: Environment,
     *,
@@ -66,13 +65,14 @@ def render_reference(
 
     ``bounces`` of light between surfaces are followed, as many as the transfer has.
     """
+    mi = scene.mi
     started = time.perf_counter()
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
     emitter = mi.load_dict(environment_emitter(mi, environment))
 
     def half(samples: int, seed: int) -> NDArray[np.float64]:
         # Stratified samplers halve the noise of independent ones at the same cost, if they know the count.
-        lit = mitsuba_scene(mi, scene, sensor=sensor(mi, scene, width, samples), emitter=emitter)
+        lit = mitsuba_scene(scene, sensor=sensor(scene, width, samples), emitter=emitter)
         return np.array(mi.render(lit, integrator=integrator, spp=samples, seed=seed), dtype=np.float64)
 
     first, second, measured, samples = _converge(half, noise, largest_samples, lambda pixels: pixels[..., :3])
@@ -81,7 +81,6 @@ def render_reference(
 
 
 def vertex_reference(
-    mi: Any,
     scene: Scene,
     environment: Environment,
     *,
@@ -100,22 +99,23 @@ def vertex_reference(
     Uses the same ray origins as the transfer, so that what differs from full SH is the bandlimit (and sampling). Of
     some ``vertices`` alone those inside other geometry stay black.
     """
+    mi = scene.mi
     started = time.perf_counter()
     chosen = np.arange(len(scene.mesh.positions)) if vertices is None else vertices
-    lit = mitsuba_scene(mi, scene, emitter=environment_emitter(mi, environment))
+    lit = mitsuba_scene(scene, emitter=environment_emitter(mi, environment))
 
     def half(samples: int, number: int) -> NDArray[np.float64]:
         own = 65537 * seed + number
         if view is not None:
-            return _sample_toward(mi, scene, lit, view, samples, own, bounces)[chosen]
-        return _sample_vertices(mi, scene, lit, chosen, samples, own, bounces)
+            return _sample_toward(scene, lit, view, samples, own, bounces)[chosen]
+        return _sample_vertices(scene, lit, chosen, samples, own, bounces)
 
     first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values, squares=False)
     albedo = scene.mesh.albedo[chosen] if view is None else 1.0
     mean = 0.5 * (first + second)
     if view is None and vertices is None:
         # What transport does for vertices inside other geometry.
-        borrow(mi, scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers)).fill(mean)
+        borrow(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
     radiance = (mean * albedo).astype(np.float32)
     return ReferenceVertices(radiance, measured, samples, time.perf_counter() - started)
 
@@ -148,9 +148,10 @@ def _converge(
 
 
 def _sample_vertices(
-    mi: Any, scene: Scene, lit: Any, vertices: NDArray[np.int64], samples: int, seed: int, bounces: int
+    scene: Scene, lit: Any, vertices: NDArray[np.int64], samples: int, seed: int, bounces: int
 ) -> NDArray[np.float64]:
     """(n, 3) estimates for unit albedo, ``samples`` light and ``samples`` cosine samples per vertex."""
+    mi = scene.mi
     import drjit as dr
 
     count = len(vertices)
@@ -206,10 +207,9 @@ def _sample_vertices(
     return total
 
 
-def _sample_toward(
-    mi: Any, scene: Scene, lit: Any, view: View, samples: int, seed: int, bounces: int
-) -> NDArray[np.float64]:
+def _sample_toward(scene: Scene, lit: Any, view: View, samples: int, seed: int, bounces: int) -> NDArray[np.float64]:
     """(V, 3) radiance from the vertices toward a camera; zero where it sees the back."""
+    mi = scene.mi
     import drjit as dr
 
     eye = (np.array(view.to_world)[:3, 3] - scene.origin) / scene.scale

@@ -18,14 +18,14 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from slepian_prt.compression.archive import write_all
 from slepian_prt.evaluation import pages, plots, sweep_report
 from slepian_prt.evaluation.compare import Comparison, Method, View
-from slepian_prt.evaluation.errors import error_map
 from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE, Rung
+from slepian_prt.evaluation.metrics import error_map
 from slepian_prt.evaluation.plots import percent
 from slepian_prt.evaluation.sweep import Sweep
-from slepian_prt.relighting.picture import Picture, exposure, to_srgb
+from slepian_prt.files import write_all
+from slepian_prt.relighting.pictures import Picture, exposure, to_srgb
 
 # Colour (Okabe & Ito, safe for colour-blind readers), marker and dash of each basis: any one of them tells it.
 STYLES: dict[str, tuple[str, str, str]] = {

@@ -22,19 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.family import Family
+from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.grouping import Grouping, grouped
-from slepian_prt.compression.pipeline import compress
-from slepian_prt.compression.settings import Settings
-from slepian_prt.compression.work import Start
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stream import compress
+from slepian_prt.compression.tolerance_sweep import ToleranceSweep
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import versions
-from slepian_prt.evaluation.errors import relative_rms
+from slepian_prt.evaluation.metrics import relative_rms
 from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
-from slepian_prt.scene.environments import Environment, project_environment
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.projection import project_environment
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Job, Ready, Transfer
+from slepian_prt.transport.transfer import PlannedScene, Transfer, TransportSettings
 
 # Vertices that errors are measured at, and those that transport is timed on at each bandlimit.
 REFERENCE_VERTICES = 4000
@@ -83,9 +84,9 @@ class Axes:
             if len(set(values)) < len(values):
                 raise UserError(f"{name} has a value twice: {', '.join(map(str, values))}")
         for samples, bandlimit, bounces in product(self.samples, self.bandlimits, self.bounces):
-            Job(bandlimit, samples, bounces=bounces)
+            TransportSettings(bandlimit, samples, bounces=bounces)
         for setting in self.settings():
-            Settings(basis=setting.basis, tolerance=setting.tolerance, clusters=setting.clusters).check(
+            CompressionSettings(basis=setting.basis, tolerance=setting.tolerance, clusters=setting.clusters).check(
                 setting.bandlimit
             )
 
@@ -296,11 +297,11 @@ def sweep(
     scene: str | Path,
     environments: Sequence[Environment],
     axes: Axes,
-    job: Job,
+    transport: TransportSettings,
     *,
     noise: float = 0.005,
     journal: Path | None = None,
-    tell: Tell = lambda _: None,
+    report: Tell = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
 ) -> Sweep:
@@ -311,12 +312,12 @@ def sweep(
     scene : path
     environments : maps; without any, the light of a Mitsuba scene itself
     axes : Axes
-    job : Job
+    transport : TransportSettings
         Of it the effects, albedo and seed count.
     noise : wanted relative RMS noise of the references
     journal : path
         Where finished settings are kept until all are done; those found there are not measured again.
-    tell : told what is done
+    report : told what is done
     advance : given (settings finished since the last call, settings in all)
     on_plan : as of `precompute`
 
@@ -328,47 +329,47 @@ def sweep(
     if not environments and Path(scene).suffix.lower() != ".xml":
         raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
     settings = list(axes.settings())
-    first = replace(job, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
-    with first.opened(scene, on_plan) as ready:
+    first = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
+    with first.opened(scene, on_plan) as planned:
         if not environments:
-            if ready.scene.environment is None:
+            if planned.scene.environment is None:
                 raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
-            environments = [ready.scene.environment]
-        kept = Journal(journal, ready, environments, noise)
+            environments = [planned.scene.environment]
+        kept = Journal(journal, planned, environments, noise)
         found = {setting: kept.points[setting] for setting in settings if setting in kept.points}
         if found:
-            tell(f"{len(found)} of {len(settings)} settings were measured before and are kept")
+            report(f"{len(found)} of {len(settings)} settings were measured before and are kept")
             advance(len(found), len(settings))
         begin = time.perf_counter()
-        ready.direct().of(np.flatnonzero(ready.scene.mesh.receivers)[:64])
-        shared = {**ready.clock.seconds, "kernels": time.perf_counter() - begin}
-        tell("references")
-        measure = _Measure.made(ready, environments, noise, _most(axes.bounces))
+        planned.direct().of(np.flatnonzero(planned.scene.mesh.receivers.active)[:64])
+        shared = {**planned.clock.seconds, "kernels": time.perf_counter() - begin}
+        report("references")
+        measure = _Measure.made(planned, environments, noise, _most(axes.bounces))
         shared["references"] = sum(reference.seconds for reference in measure.references)
         # The most rays first: what is coded with them helps the others.
         for samples, bounces in product(sorted(axes.samples, reverse=True), axes.bounces):
             left = [s for s in settings if (s.samples, s.bounces) == (samples, bounces) and s not in found]
             if not left:
                 continue
-            tell(f"transport, {samples} rays, L = {first.bandlimit}")
-            asked = ready.asked(replace(first, samples=samples, bounces=bounces))
+            report(f"transport, {samples} rays, L = {first.bandlimit}")
+            asked = planned.asked(replace(first, samples=samples, bounces=bounces))
             parts = _parts(asked, axes.bandlimits)
             asked.clock.stop("timing")
             transfer = asked.transfer()
             for setting in left:
-                tell(setting.label)
+                report(setting.label)
                 found[setting] = measure.point(setting, transfer, *parts[setting.bandlimit])
                 kept.add(found[setting])
                 advance(1, len(settings))
     kept.remove()
     return Sweep(
         str(scene),
-        len(ready.scene.mesh.positions),
+        len(planned.scene.mesh.positions),
         tuple(environment.name for environment in environments),
         {e.name: reference.noise for e, reference in zip(environments, measure.references, strict=True)},
         tuple(found[setting] for setting in settings),
         shared,
-        ready.plan.effects,
+        planned.plan.effects,
     )
 
 
@@ -377,13 +378,13 @@ def _most(bounces: Sequence[int | None]) -> int:
     return max(_MANY_BOUNCES if count is None else count for count in bounces)
 
 
-def _parts(ready: Ready, bandlimits: Sequence[int]) -> dict[int, tuple[float, float]]:
+def _parts(planned: PlannedScene, bandlimits: Sequence[int]) -> dict[int, tuple[float, float]]:
     """Time of transport at each bandlimit as a part of that at the highest, and its spread, on a sample of vertices."""
-    receivers = np.flatnonzero(ready.scene.mesh.receivers)
+    receivers = np.flatnonzero(planned.scene.mesh.receivers.active)
     some = receivers[:: max(1, receivers.size // _TIMED)]
     times: dict[int, list[float]] = {}
     for bandlimit in bandlimits:
-        source = replace(ready, job=replace(ready.job, bandlimit=bandlimit)).direct()
+        source = replace(planned, settings=replace(planned.settings, bandlimit=bandlimit)).direct()
         source.of(some)
         times[bandlimit] = []
         for _ in range(_RUNS):
@@ -416,19 +417,21 @@ class _Measure:
     # What the settings with the largest number of rays took, and what those with fewer may start from.
     _timed: dict[Setting, _Timed] = field(default_factory=dict, init=False, repr=False)
     # Those with fewer rays that differ in their tolerance only.
-    _family: list[tuple[Setting, Family]] = field(default_factory=list, init=False, repr=False)
+    _family: list[tuple[Setting, ToleranceSweep]] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
-    def made(cls, ready: Ready, environments: Sequence[Environment], noise: float, most_bounces: int) -> _Measure:
-        receivers = np.flatnonzero(ready.scene.mesh.receivers)
-        rng = np.random.default_rng(ready.job.seed)
+    def made(
+        cls, planned: PlannedScene, environments: Sequence[Environment], noise: float, most_bounces: int
+    ) -> _Measure:
+        receivers = np.flatnonzero(planned.scene.mesh.receivers.active)
+        rng = np.random.default_rng(planned.settings.seed)
         vertices = np.sort(rng.choice(receivers, min(REFERENCE_VERTICES, receivers.size), replace=False))
-        bounces = most_bounces if ready.plan.interreflection else 0
+        bounces = most_bounces if planned.plan.interreflection else 0
         references = tuple(
-            vertex_reference(ready.mi, ready.scene, environment, noise=noise, bounces=bounces, vertices=vertices)
+            vertex_reference(planned.scene, environment, noise=noise, bounces=bounces, vertices=vertices)
             for environment in environments
         )
-        return cls(tuple(environments), vertices, references, ready.scene.mesh.albedo[vertices])
+        return cls(tuple(environments), vertices, references, planned.scene.mesh.albedo[vertices])
 
     def point(self, setting: Setting, transfer: Transfer, part: float, spread: float) -> Point:
         """Compress transfer of the highest bandlimit as a setting wants it, and measure."""
@@ -449,7 +452,7 @@ class _Measure:
             for light in lights:
                 operator.apply(light[None])
             seconds = (time.perf_counter() - prepared) / len(lights)
-            start = None if packed.coded is None else Start(packed.coded.tuning, turned)
+            start = None if packed.coded is None else WarmStart(packed.coded.tuning, turned)
             prepare = decoded - begin + prepared - rest
             timed = _Timed(packed.seconds["compress"], prepare, seconds, start)
             self._timed[alike] = timed
@@ -472,7 +475,7 @@ class _Measure:
     def _grouping(self, setting: Setting, transfer: Transfer) -> tuple[Grouping, float]:
         if setting.clusters not in self._groupings:
             begin = time.perf_counter()
-            grouping = grouped(Settings(clusters=setting.clusters), transfer)
+            grouping = grouped(CompressionSettings(clusters=setting.clusters), transfer)
             self._groupings[setting.clusters] = grouping, time.perf_counter() - begin
         return self._groupings[setting.clusters]
 
@@ -482,13 +485,13 @@ class _Measure:
         packed = compress(cut, setting.basis, tolerance=setting.tolerance, clusters=grouping)
         return replace(packed, seconds={"compress": packed.seconds["compress"] + seconds})
 
-    def _family_of(self, setting: Setting, transfer: Transfer) -> Family:
+    def _family_of(self, setting: Setting, transfer: Transfer) -> ToleranceSweep:
         """Settings that follow each other and differ in their tolerance share bases and projections."""
         alike = replace(setting, tolerance=0.0)
         if not self._family or self._family[0][0] != alike:
-            settings = Settings(basis=setting.basis, clusters=setting.clusters)
+            settings = CompressionSettings(basis=setting.basis, clusters=setting.clusters)
             grouping, _ = self._grouping(setting, transfer)
-            self._family[:] = [(alike, Family(_cut(transfer, setting.bandlimit), settings, grouping))]
+            self._family[:] = [(alike, ToleranceSweep(_cut(transfer, setting.bandlimit), settings, grouping))]
         return self._family[0][1]
 
     def _errors(self, vectors: NDArray, lights: Sequence[NDArray]) -> dict[str, float]:
@@ -510,7 +513,7 @@ class _Timed:
     compress: float
     prepare: float
     relight: float
-    start: Start | None
+    start: WarmStart | None
 
 
 def _cut(transfer: Transfer, bandlimit: int) -> Transfer:
@@ -527,10 +530,12 @@ class Journal:
     points : dict of Setting to Point
     """
 
-    def __init__(self, path: Path | None, ready: Ready, environments: Sequence[Environment], noise: float) -> None:
+    def __init__(
+        self, path: Path | None, planned: PlannedScene, environments: Sequence[Environment], noise: float
+    ) -> None:
         self._path = path
         self.points: dict[Setting, Point] = {}
-        self._key = _fingerprint(ready, environments, noise)
+        self._key = _fingerprint(planned, environments, noise)
         if path is None or not path.is_file():
             return
         for line in path.read_text().splitlines():
@@ -560,15 +565,15 @@ class Journal:
             self._path.unlink(missing_ok=True)
 
 
-def _fingerprint(ready: Ready, environments: Sequence[Environment], noise: float) -> str:
+def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noise: float) -> str:
     """Of everything but the axes that a point depends on."""
     digest = hashlib.sha256()
-    own = replace(ready.job, samples=1, bandlimit=0, bounces=None)
+    own = replace(planned.settings, samples=1, bandlimit=0, bounces=None)
     digest.update(repr((versions(), machine(), own, noise)).encode())
-    mesh = ready.scene.mesh
+    mesh = planned.scene.mesh
     for array in (mesh.positions, mesh.normals, mesh.faces, mesh.albedo):
         digest.update(np.ascontiguousarray(array).tobytes())
-    for shape in ready.scene.occluders:
+    for shape in planned.scene.occluders:
         box = shape.bbox()
         digest.update(
             repr((np.array(box.min), np.array(box.max), float(np.array(shape.surface_area()).ravel()[0]))).encode()

@@ -12,9 +12,9 @@ from typing import Any
 import matplotlib
 import numpy as np
 
-from slepian_prt.compression.archive import write_all
 from slepian_prt.evaluation import pages, plots
 from slepian_prt.evaluation.sweep import Point, Sweep, findings, pareto
+from slepian_prt.files import write_all
 
 _COSTS = {
     "seconds": "seconds, transport and compression",

@@ -13,10 +13,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from slepian_prt.compression.archive import atomic_output, check_folder, check_writable
 from slepian_prt.errors import UserError
-from slepian_prt.relighting.picture import Camera, Picture, exposure, to_srgb, write_picture
-from slepian_prt.scene.meshes import Mesh
+from slepian_prt.files import atomic_output, check_folder, check_writable
+from slepian_prt.relighting.pictures import Camera, Picture, exposure, to_srgb, write_picture
+from slepian_prt.scene.mesh import Mesh
 
 # Of one result; several go to a folder, to one .npz, or to a film.
 SUFFIXES = (".npz", ".ply", ".png", ".exr")
@@ -33,12 +33,12 @@ def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray) -> None:
 
 def mesh_exposure(mesh: Mesh, radiance: NDArray) -> float:
     """The factor that shows radiance at the vertices well."""
-    return exposure(Picture(radiance[None].astype(np.float32), mesh.receivers[None].astype(np.float32)))
+    return exposure(Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32)))
 
 
 def write_coloured_mesh(path: str | Path, mesh: Mesh, radiance: NDArray, scale: float | None = None) -> float:
     """``.ply`` with tone-mapped sRGB colours per vertex; returns the exposure that they were scaled with."""
-    strip = Picture(radiance[None].astype(np.float32), mesh.receivers[None].astype(np.float32))
+    strip = Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
     scale = mesh_exposure(mesh, radiance) if scale is None else scale
     coloured = trimesh.Trimesh(
         mesh.positions, mesh.faces, vertex_normals=mesh.normals, vertex_colors=to_srgb(strip, scale)[0], process=False

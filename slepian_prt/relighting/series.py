@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.relighting import outputs, picture
+from slepian_prt.lighting.environment import about_up, check_names
+from slepian_prt.lighting.projection import project_checked
+from slepian_prt.lighting.windowing import window
+from slepian_prt.relighting import outputs
+from slepian_prt.relighting import pictures as picture
+from slepian_prt.relighting.damping import damp
 from slepian_prt.relighting.relight import negative_part, relight
-from slepian_prt.relighting.windowing import damp, window
-from slepian_prt.scene.environments import about_up, check_names, project_checked
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.sphere.rotation import rotate_sh
 
@@ -154,11 +157,11 @@ def write_relit(
 
 
 def _camera(output: str, packed: CompressedTransfer, width: int | None, note: Note) -> picture.Camera:
-    with open_scene(packed.mesh) as (mi, scene):
+    with open_scene(packed.mesh) as scene:
         scene = replace(scene, view=packed.view)
         if packed.view is None and width is None:
             width = _WIDTH
-        camera = picture.trace_camera(mi, scene, width)
+        camera = picture.trace_camera(scene, width)
     if not camera.alpha.any():
         note(f"{output}: the camera sees no front of any surface; the picture is empty")
     return camera

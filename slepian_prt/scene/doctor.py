@@ -12,25 +12,25 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene import llvm
-from slepian_prt.scene.variants import cuda_works, usable_variant
+from slepian_prt.renderer import llvm
+from slepian_prt.renderer.variants import cuda_works, usable_variant
 
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "trimesh", "OpenEXR")
 
 # Rays of a kind that transport traces: cosine-distributed from the surface of a bumpy sphere.
 _SPEED = """
 import json, sys, time
-from slepian_prt.scene.variants import mitsuba
+from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.meshes import make_mesh
-from slepian_prt.transport.directions import direction_net
+from slepian_prt.scene.mesh import make_mesh
+from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.visibility import VisibilityTracer
 import numpy as np, trimesh
 ball = trimesh.creation.icosphere(6)
 radius = 1 + 0.1 * np.sin(9 * ball.vertices).prod(axis=1)
-with open_scene(make_mesh(ball.vertices * radius[:, None], ball.faces)) as (mi, scene):
+with open_scene(make_mesh(ball.vertices * radius[:, None], ball.faces)) as scene:
     chosen = np.arange(0, len(ball.vertices), 4)
-    tracer = VisibilityTracer(mi, scene, 0, direction_net(256), 0)
+    tracer = VisibilityTracer(scene, 0, direction_set(256), 0)
     tracer.look(chosen)
     rates = []
     for _ in range(3):

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slepian_prt.errors import UserError
+from slepian_prt.lighting.emitters import emitted_environment
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene import materials
-from slepian_prt.scene.cameras import view_of
-from slepian_prt.scene.environments import Environment, emitted_environment
-from slepian_prt.scene.meshes import Mesh, read_mesh
-from slepian_prt.scene.scenes import Part, Scene
+from slepian_prt.scene.mesh import Mesh, read_mesh
+from slepian_prt.scene.scene import Part, Scene
+from slepian_prt.scene.sensors import view_of
 from slepian_prt.scene.shapes import Receiver, fewest_cuts, mitsuba_mesh, receiver
-from slepian_prt.scene.variants import mitsuba
 
 log = logging.getLogger(__name__)
 
@@ -27,8 +28,8 @@ log = logging.getLogger(__name__)
 @contextmanager
 def open_scene(
     path: str | Path | Mesh, *, albedo: ArrayLike | None = None, view: str | int | None = None
-) -> Iterator[tuple[Any, Scene]]:
-    """Load a mesh file, a Mitsuba .xml or a `Mesh`, and yield Mitsuba in a working variant with the scene.
+) -> Iterator[Scene]:
+    """Load a mesh file, a Mitsuba .xml or a `Mesh`, and yield the scene, with Mitsuba in a working variant.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def open_scene(
         if albedo is not None:
             raise UserError(f"{path}: its materials say what it reflects; leave out the albedo, or change it there")
         with mitsuba() as mi:
-            yield mi, _from_xml(mi, Path(path), view)
+            yield _from_xml(mi, Path(path), view)
         return
     if view is not None:
         raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
@@ -58,7 +59,7 @@ def open_scene(
     if albedo is not None:
         mesh = replace(mesh, albedo=_constant_albedo(albedo, len(mesh.positions)))
     with mitsuba() as mi:
-        yield mi, _from_mesh(mi, mesh, source, albedo is not None)
+        yield _from_mesh(mi, mesh, source, albedo is not None)
 
 
 def _constant_albedo(albedo: ArrayLike, count: int) -> Any:
@@ -74,6 +75,7 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
     origin, scale = 0.5 * (low + high), diagonal if diagonal > 0.0 else 1.0
     shape = mitsuba_mesh(mi, replace(mesh, positions=(mesh.positions - origin) / scale))
     return Scene(
+        mi,
         source,
         mesh,
         (Part(mesh.name, 0, len(mesh.positions)),),
@@ -157,6 +159,7 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
     )
     faces = [made.faces + offset for made, offset in zip(receivers, offsets, strict=True)]
     return Scene(
+        mi,
         str(path),
         merged,
         tuple(Part(mesh.name, int(first), int(n)) for mesh, first, n in zip(meshes, offsets, counts, strict=True)),

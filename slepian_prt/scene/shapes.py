@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.materials import diffuse_reflectance
-from slepian_prt.scene.meshes import Mesh, make_mesh
+from slepian_prt.scene.mesh import Mesh, make_mesh
 
 # A mesh of fewer vertices hardly shows a shadow.
 _COARSE = 100

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, cKDTree
 
+from slepian_prt.scene.receivers import morton
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
 
-SMALLEST_NET = 8
+SMALLEST_SET = 8
 
 # Where on an edge visibility can be found to change, in parts of its length.
 QUARTERS = 4
@@ -35,7 +36,7 @@ _LARGEST_RULE = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
-class Net:
+class DirectionSet:
     """A triangulated set of directions about z.
 
     Attributes
@@ -120,15 +121,15 @@ class Net:
 
 
 @lru_cache(maxsize=4)
-def direction_net(nodes: int) -> Net:
+def direction_set(nodes: int) -> DirectionSet:
     """A net of ``nodes`` directions about z, distributed evenly under the cosine."""
-    points = _relaxed(max(nodes, SMALLEST_NET))
-    points = points[np.argsort(_z_order(points), kind="stable")]
+    points = _relaxed(max(nodes, SMALLEST_SET))
+    points = points[np.argsort(morton(points), kind="stable")]
     triangulation = Delaunay(points)
     triangles = triangulation.simplices
     sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     edges, which = np.unique(sides, axis=0, return_inverse=True)
-    return Net(triangulation, edges.astype(np.int64), which.reshape(3, -1).T.copy())
+    return DirectionSet(triangulation, edges.astype(np.int64), which.reshape(3, -1).T.copy())
 
 
 def raise_to_sphere(points: NDArray) -> NDArray[np.float64]:
@@ -137,7 +138,7 @@ def raise_to_sphere(points: NDArray) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=2)
-def _tables(net: Net, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _tables(net: DirectionSet, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     rule, triangle, barycentric = net._rule
     count, shapes = len(net.triangles), 3 * QUARTERS * QUARTERS
     rows, columns = [], []
@@ -188,14 +189,6 @@ def _spiral(n: int) -> NDArray[np.float64]:
     index = np.arange(n)
     radius, angle = np.sqrt((index + 0.5) / n), math.pi * (3.0 - math.sqrt(5.0)) * index
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-
-
-def _z_order(points: NDArray) -> NDArray[np.int64]:
-    cells = ((points + 1.0) * 512.0).astype(np.int64)
-    key = np.zeros(len(points), dtype=np.int64)
-    for bit in range(10):
-        key |= ((cells[:, 0] >> bit) & 1) << (2 * bit) | ((cells[:, 1] >> bit) & 1) << (2 * bit + 1)
-    return key
 
 
 def _cross(u: NDArray, v: NDArray) -> NDArray:

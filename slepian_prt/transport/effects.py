@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.cameras import View
-from slepian_prt.scene.scenes import Scene
+from slepian_prt.scene.scene import Scene
+from slepian_prt.scene.sensors import View
 from slepian_prt.slepian.kernels import cosine_lobe
-from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.interreflection import GATHER_SHARE, gather_operator
 from slepian_prt.transport.visibility import VisibilityTracer, nodes_for, shadowed_vertices
 
@@ -132,10 +132,10 @@ class Survey:
     pilot: _Pilot
 
     @classmethod
-    def of(cls, mi: Any, scene: Scene, seed: int = 0) -> Survey:
-        receivers = np.flatnonzero(scene.mesh.receivers)
+    def of(cls, scene: Scene, seed: int = 0) -> Survey:
+        receivers = np.flatnonzero(scene.mesh.receivers.active)
         possible = np.flatnonzero(shadowed_vertices(scene))
-        return cls(scene, receivers, possible, _look(mi, scene, possible, receivers.size, seed))
+        return cls(scene, receivers, possible, _look(scene, possible, receivers.size, seed))
 
     def nodes(self, samples: float) -> int:
         """Directions that a vertex looks in at first, so that it takes ``samples`` rays on average."""
@@ -216,23 +216,23 @@ class _Pilot:
     tail: Callable[[int], float]
 
 
-def _look(mi: Any, scene: Scene, possible: NDArray, receivers: int, seed: int) -> _Pilot:
+def _look(scene: Scene, possible: NDArray, receivers: int, seed: int) -> _Pilot:
     nothing = _Estimate(0.0, 0.0)
     if possible.size == 0:
         return _Pilot(nothing, nothing, nothing, 0.0, 0.0, _tail_of_cosine)
     chosen = np.random.default_rng(seed).choice(possible, min(_PILOT_VERTICES, possible.size), replace=False)
     share = possible.size / receivers
-    net = direction_net(_PILOT_NODES)
-    tracer = VisibilityTracer(mi, scene, 1, net, seed)
+    net = direction_set(_PILOT_NODES)
+    tracer = VisibilityTracer(scene, 1, net, seed)
     looked = tracer.look(chosen)
     fractions, energy, _ = tracer.surveyed(looked)
-    gather = gather_operator(mi, scene, _PILOT_NODES, chosen, None, seed)
+    gather = gather_operator(scene, _PILOT_NODES, chosen, None, seed)
     seen = gather.weights @ scene.mesh.albedo.astype(np.float64)
 
     def tail(bandlimit: int) -> float:
         if energy == 0.0:
             return 0.0
-        kept = VisibilityTracer(mi, scene, max(1, bandlimit), net, seed).surveyed(looked)[2][: bandlimit + 1].sum()
+        kept = VisibilityTracer(scene, max(1, bandlimit), net, seed).surveyed(looked)[2][: bandlimit + 1].sum()
         return share * max(0.0, 1.0 - float(kept) / energy) + (1.0 - share) * _tail_of_cosine(bandlimit)
 
     return _Pilot(

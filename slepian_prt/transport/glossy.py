@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.cameras import View
 from slepian_prt.scene.materials import surface_points
-from slepian_prt.scene.meshes import morton
-from slepian_prt.scene.scenes import Scene
+from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.scene import Scene
+from slepian_prt.scene.sensors import View
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh
@@ -51,7 +51,6 @@ class ViewTransfer(NamedTuple):
 
 
 def view_transfer(
-    mi: Any,
     scene: Scene,
     view: View,
     bandlimit: int,
@@ -65,7 +64,6 @@ def view_transfer(
 
     Parameters
     ----------
-    mi : Mitsuba, as yielded by `open_scene`
     scene : Scene
     view : View
     bandlimit : int
@@ -86,7 +84,7 @@ def view_transfer(
         raise UserError(f"{scene.path}: camera '{view.name}' sees no front of any surface; move it or flip the faces")
     axes = np.zeros_like(normals)
     axes[facing] = 2.0 * cosine[facing, None] * normals[facing] - toward[facing]
-    tracer = _Tracer(mi, scene, toward, axes, facing, bandlimit, samples, seed, shadows)
+    tracer = _Tracer(scene, toward, axes, facing, bandlimit, samples, seed, shadows)
     vectors = np.zeros((len(normals), 3, num_coefficients(bandlimit)), dtype=np.float32)
     advance(len(normals) - facing.size)
     block = max(1, _RAYS_PER_BLOCK // tracer.half)
@@ -106,7 +104,6 @@ class _Tracer:
 
     def __init__(
         self,
-        mi: Any,
         scene: Scene,
         toward: NDArray,
         axes: NDArray,
@@ -116,10 +113,11 @@ class _Tracer:
         seed: int,
         shadows: bool,
     ) -> None:
+        mi = scene.mi
         self.mi, self.shadows, self.rays = mi, shadows, 0
-        self.geometry = scene.geometry(mi)
+        self.geometry = scene.geometry
         self._origins, self._normals, self._axes = scene.ray_origins, scene.mesh.normals, axes
-        self._parts = _Parts(mi, scene, toward)
+        self._parts = _Parts(scene, toward)
         rng = np.random.default_rng(seed)
         self._turns = rng.random((2, len(axes))) * 2.0 * math.pi
         self.half = max(4, samples // 2)
@@ -184,7 +182,8 @@ class _Tracer:
 class _Parts:
     """The BSDFs of all receivers at their vertices, with the direction to the camera set."""
 
-    def __init__(self, mi: Any, scene: Scene, toward: NDArray) -> None:
+    def __init__(self, scene: Scene, toward: NDArray) -> None:
+        mi = scene.mi
         self.mi = mi
         self.first = np.array([part.first for part in scene.parts])
         self.shapes = scene.shapes[: len(scene.parts)]

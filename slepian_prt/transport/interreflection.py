@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from slepian_prt.scene.meshes import morton
-from slepian_prt.scene.scenes import Scene
-from slepian_prt.transport.directions import Net, direction_net
+from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.scene import Scene
+from slepian_prt.transport.directions import DirectionSet, direction_set
 from slepian_prt.transport.visibility import HemisphereRays
 
 _RAYS_PER_BLOCK = 1 << 20
@@ -64,7 +64,6 @@ class Gather:
 
 
 def gather_operator(
-    mi: Any,
     scene: Scene,
     nodes: int,
     vertices: NDArray,
@@ -83,7 +82,7 @@ def gather_operator(
         Blocked part of each hemisphere, where it is known better than these few rays tell; rows are scaled to it.
     seed, advance : as in `shadowed_transfer`
     """
-    tracer = _Gatherer(mi, scene, direction_net(nodes), seed)
+    tracer = _Gatherer(scene, direction_set(nodes), seed)
     block = max(1, _RAYS_PER_BLOCK // tracer.net.size)
     vertices = vertices[np.argsort(morton(scene.traced_positions[vertices]), kind="stable")]
     parts: list[csr_array] = []
@@ -198,10 +197,11 @@ def _stacked(parts: list[csr_array], columns: int) -> csr_array:
 class _Gatherer(HemisphereRays):
     """Closest hits along the nodes of a net, as weights of the vertices that they lie between."""
 
-    def __init__(self, mi: Any, scene: Scene, net: Net, seed: int) -> None:
+    def __init__(self, scene: Scene, net: DirectionSet, seed: int) -> None:
+        mi = scene.mi
         import drjit as dr
 
-        super().__init__(mi, scene, net, seed)
+        super().__init__(scene, net, seed)
         self._faces = scene.faces
         corners = scene.traced_positions[scene.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -8,20 +8,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit
-from slepian_prt.scene.cameras import View
-from slepian_prt.scene.environments import Environment
+from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.meshes import Mesh
-from slepian_prt.scene.scenes import Part, Scene
-from slepian_prt.transport.buried import borrow
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.scene import Part, Scene
+from slepian_prt.scene.sensors import View
 from slepian_prt.transport.effects import SIMULATED, Effect, Plan, Survey, check_effects
 from slepian_prt.transport.glossy import view_transfer
+from slepian_prt.transport.interior import borrow
 from slepian_prt.transport.interreflection import GATHER_SHARE, bounced, count_bounces, gather_operator
 from slepian_prt.transport.visibility import DirectTransfer, shadowed_transfer
 
@@ -141,13 +140,13 @@ def precompute(
     ValueError
         Bandlimit, samples, bounces or effects out of range.
     """
-    job = Job(bandlimit, samples, effects, bounces, albedo, view, seed)
-    with job.opened(scene, on_plan) as ready:
-        return ready.transfer(advance)
+    transport = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed)
+    with transport.opened(scene, on_plan) as planned:
+        return planned.transfer(advance)
 
 
 @dataclass(frozen=True)
-class Job:
+class TransportSettings:
     """What is asked of transport; see `precompute`.
 
     Raises
@@ -175,31 +174,30 @@ class Job:
     @contextmanager
     def opened(
         self, scene: str | Path | Mesh, on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None
-    ) -> Iterator[Ready]:
+    ) -> Iterator[PlannedScene]:
         """The scene loaded and planned, with Mitsuba."""
         clock = Clock()
-        with open_scene(scene, albedo=self.albedo, view=self.view) as (mi, opened):
-            if not opened.mesh.receivers.any():
+        with open_scene(scene, albedo=self.albedo, view=self.view) as opened:
+            if not opened.mesh.receivers.active.any():
                 raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
             clock.stop("load")
             toward = opened.view if self.view is not None else None
-            survey = Survey.of(mi, opened, self.seed)
+            survey = Survey.of(opened, self.seed)
             plan = survey.plan(self.bandlimit, int(self.samples), self.effects, toward)
             on_plan(plan.effects)
             _remark_on_closed(opened.path, plan.effects)
             clock.stop("plan")
-            yield Ready(mi, opened, self, survey, plan, toward, clock)
+            yield PlannedScene(opened, self, survey, plan, toward, clock)
 
 
 @dataclass(frozen=True, eq=False)
-class Ready:
+class PlannedScene:
     """A scene that is loaded and planned.
 
     Attributes
     ----------
-    mi : Mitsuba
     scene : Scene
-    job : Job
+    settings : TransportSettings
     survey : Survey
     plan : Plan
     toward : View or None
@@ -207,18 +205,17 @@ class Ready:
     clock : Clock
     """
 
-    mi: Any
     scene: Scene
-    job: Job
+    settings: TransportSettings
     survey: Survey
     plan: Plan
     toward: View | None
     clock: Clock
 
-    def asked(self, job: Job) -> Ready:
+    def asked(self, transport: TransportSettings) -> PlannedScene:
         """The same scene, planned for other numbers, with a clock of its own; ``albedo`` and ``view`` stay."""
-        plan = self.survey.plan(job.bandlimit, int(job.samples), job.effects, self.toward)
-        return replace(self, job=job, plan=plan, clock=Clock(self.clock.seconds))
+        plan = self.survey.plan(transport.bandlimit, int(transport.samples), transport.effects, self.toward)
+        return replace(self, settings=transport, plan=plan, clock=Clock(self.clock.seconds))
 
     @property
     def by_blocks(self) -> bool:
@@ -228,23 +225,22 @@ class Ready:
     def direct(self) -> DirectTransfer:
         """The source of direct transfer."""
         return DirectTransfer(
-            self.mi, self.scene, int(self.job.bandlimit), self.plan.nodes, self.plan.shadowed, self.job.seed
+            self.scene, int(self.settings.bandlimit), self.plan.nodes, self.plan.shadowed, self.settings.seed
         )
 
     def transfer(self, advance: Callable[[int, int], None] = lambda _done, _total: None) -> Transfer:
         """All vectors, in memory."""
-        job, mesh, count = self.job, self.scene.mesh, len(self.scene.mesh.positions)
+        transport, mesh, count = self.settings, self.scene.mesh, len(self.scene.mesh.positions)
         axes, taken = mesh.normals, 0
         if self.toward is None:
             vectors, taken, rays = self._diffuse(advance)
         else:
             vectors, axes, rays = view_transfer(
-                self.mi,
                 self.scene,
                 self.toward,
-                job.bandlimit,
-                int(job.samples),
-                job.seed,
+                transport.bandlimit,
+                int(transport.samples),
+                transport.seed,
                 shadows=self.plan.effects[0].verdict == SIMULATED,
                 advance=lambda n: advance(n, count),
             )
@@ -254,9 +250,9 @@ class Ready:
             vectors=vectors,
             mesh=mesh,
             parts=self.scene.parts,
-            bandlimit=int(job.bandlimit),
-            samples=int(job.samples),
-            seed=job.seed,
+            bandlimit=int(transport.bandlimit),
+            samples=int(transport.samples),
+            seed=transport.seed,
             effects=self.plan.effects,
             bounces=taken,
             rays_traced=rays,
@@ -270,27 +266,27 @@ class Ready:
 
     def _diffuse(self, advance: Callable[[int, int], None]) -> tuple[NDArray[np.float32], int, int]:
         """Transfer vectors (V, channels, (L+1)²) of diffuse surfaces as planned, the bounces taken, and rays traced."""
-        mi, scene, plan, job = self.mi, self.scene, self.plan, self.job
+        scene, plan, transport = self.scene, self.plan, self.settings
         mesh = scene.mesh
         total = len(mesh.positions) + (plan.shadowed.size if plan.interreflection else 0)
 
-        def tell(done: int) -> None:
+        def report(done: int) -> None:
             advance(done, total)
 
         direct, blocked, rays = shadowed_transfer(
-            mi, scene, int(job.bandlimit), plan.nodes, plan.shadowed, job.seed, tell
+            scene, int(transport.bandlimit), plan.nodes, plan.shadowed, transport.seed, report
         )
-        borrowed = borrow(mi, scene, np.flatnonzero((blocked >= 1.0) & mesh.receivers))
+        borrowed = borrow(scene, np.flatnonzero((blocked >= 1.0) & mesh.receivers.active))
         borrowed.fill(direct)
         borrowed.fill(blocked)
         self.clock.stop("transport")
         if not plan.interreflection:
             return direct[:, None, :], 0, rays
-        nodes = max(1, round(GATHER_SHARE * job.samples))
-        gather = gather_operator(mi, scene, nodes, plan.shadowed, blocked, job.seed + 1, tell)
-        bounces = job.bounces
+        nodes = max(1, round(GATHER_SHARE * transport.samples))
+        gather = gather_operator(scene, nodes, plan.shadowed, blocked, transport.seed + 1, report)
+        bounces = transport.bounces
         if bounces is None:
-            bounces, _ = count_bounces(gather, mesh.albedo, np.where(mesh.receivers, 1.0 - blocked, 0.0))
+            bounces, _ = count_bounces(gather, mesh.albedo, np.where(mesh.receivers.active, 1.0 - blocked, 0.0))
         vectors = bounced(gather, mesh.albedo, direct, plan.channels, int(bounces))
         borrowed.fill(vectors)
         self.clock.stop("interreflection")

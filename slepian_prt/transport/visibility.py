@@ -22,12 +22,12 @@ from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
 from threadpoolctl import threadpool_limits
 
-from slepian_prt.scene.meshes import morton
-from slepian_prt.scene.scenes import Scene
+from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.scene import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
-from slepian_prt.transport.directions import QUARTERS, SMALLEST_NET, Net, direction_net
+from slepian_prt.transport.directions import QUARTERS, SMALLEST_SET, DirectionSet, direction_set
 
 # Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
 _RAYS_PER_BLOCK = 1 << 20
@@ -73,12 +73,12 @@ def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
         reach = (normals[block] @ corners.T).max(axis=1)
         heights[block] = reach - np.einsum("ij,ij->i", normals[block], positions[block])
     # A vertex normal of a convex mesh is the mean over its faces; half the ray offset is far below what a ray sees.
-    return scene.mesh.receivers & (heights > 0.5 * scene.ray_offsets)
+    return scene.mesh.receivers.active & (heights > 0.5 * scene.ray_offsets)
 
 
 def _hull_corners(scene: Scene) -> NDArray[np.float64]:
     """Vertices of the convex hull of the receivers, and the boxes of what else is there."""
-    points = scene.traced_positions[scene.mesh.receivers]
+    points = scene.traced_positions[scene.mesh.receivers.active]
     for shape in scene.occluders:
         box = shape.bbox()
         low, high = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
@@ -95,7 +95,6 @@ class DirectTransfer:
 
     Parameters
     ----------
-    mi : Mitsuba, as yielded by `open_scene`
     scene : Scene
     bandlimit : int
     nodes : int
@@ -105,19 +104,19 @@ class DirectTransfer:
         Of the turns about the normals. The same seed gives the same bits.
     """
 
-    def __init__(self, mi: Any, scene: Scene, bandlimit: int, nodes: int, shadowed: NDArray, seed: int) -> None:
+    def __init__(self, scene: Scene, bandlimit: int, nodes: int, shadowed: NDArray, seed: int) -> None:
         self.bandlimit = bandlimit
-        self._made_of = (mi, nodes, shadowed)
+        self._made_of = (nodes, shadowed)
         self._scene = scene
         self._traced = np.zeros(len(scene.mesh.positions), dtype=bool)
         self._traced[shadowed] = True
         self._block = max(1, min(_RAYS_PER_BLOCK // nodes, _NUMBERS_PER_BLOCK // num_coefficients(bandlimit)))
-        self._tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(nodes), seed) if shadowed.size else None
+        self._tracer = VisibilityTracer(scene, bandlimit, direction_set(nodes), seed) if shadowed.size else None
 
     def other(self, seed: int, bandlimit: int) -> DirectTransfer:
         """The same with other turns about the normals, so that its errors are independent, and another bandlimit."""
-        mi, nodes, shadowed = self._made_of
-        return DirectTransfer(mi, self._scene, bandlimit, nodes, shadowed, seed)
+        nodes, shadowed = self._made_of
+        return DirectTransfer(self._scene, bandlimit, nodes, shadowed, seed)
 
     @property
     def rays(self) -> int:
@@ -180,7 +179,6 @@ class DirectTransfer:
 
 
 def shadowed_transfer(
-    mi: Any,
     scene: Scene,
     bandlimit: int,
     nodes: int,
@@ -195,7 +193,7 @@ def shadowed_transfer(
     (V, (L+1)²) float32 transfer vectors, (V,) float32 cosine-weighted blocked part of each hemisphere, and the
     number of rays traced.
     """
-    source = DirectTransfer(mi, scene, bandlimit, nodes, vertices, seed)
+    source = DirectTransfer(scene, bandlimit, nodes, vertices, seed)
     vectors = np.empty((len(scene.mesh.positions), num_coefficients(bandlimit)), dtype=np.float32)
     blocked = np.empty(len(vectors), dtype=np.float32)
 
@@ -244,7 +242,7 @@ def nodes_for(samples: float, changes: float) -> int:
     the boundary of visibility is a curve. Each costs two rays.
     """
     root = -changes + math.sqrt(changes * changes + samples)
-    return max(SMALLEST_NET, int(root * root))
+    return max(SMALLEST_SET, int(root * root))
 
 
 class HemisphereRays:
@@ -256,9 +254,10 @@ class HemisphereRays:
         Number traced so far.
     """
 
-    def __init__(self, mi: Any, scene: Scene, net: Net, seed: int) -> None:
+    def __init__(self, scene: Scene, net: DirectionSet, seed: int) -> None:
+        mi = scene.mi
         self.mi, self.net, self.rays = mi, net, 0
-        self.geometry = scene.geometry(mi)
+        self.geometry = scene.geometry
         self._normals = scene.mesh.normals
         self._origins = scene.ray_origins
         self._turns = np.random.default_rng(seed).random(len(self._normals)) * 2.0 * math.pi
@@ -320,8 +319,8 @@ class Seen(NamedTuple):
 class VisibilityTracer(HemisphereRays):
     """What is blocked, by adaptive visibility: nodes of the net, then bisection where they disagree."""
 
-    def __init__(self, mi: Any, scene: Scene, bandlimit: int, net: Net, seed: int) -> None:
-        super().__init__(mi, scene, net, seed)
+    def __init__(self, scene: Scene, bandlimit: int, net: DirectionSet, seed: int) -> None:
+        super().__init__(scene, net, seed)
         self.node_table, self.corner_table = net.tables(bandlimit)
         self.changes = 0  # edges along which visibility changed, so far
         sides, corners = net.triangle_edges, net.triangles

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.baselines import cube_texels, haar_faces, haar_transfer, iterate_clusters, pca_candidates
-from slepian_prt.compression.clusters import cluster_axes
-from slepian_prt.compression.pipeline import compress
+from slepian_prt.compression.clustering import cluster_axes
+from slepian_prt.compression.stream import compress
 from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy

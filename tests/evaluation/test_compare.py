@@ -4,17 +4,17 @@ import re
 import numpy as np
 import pytest
 
-from slepian_prt.compression.archive import check_folder
-from slepian_prt.compression.settings import Settings
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.compare import compare
-from slepian_prt.evaluation.errors import error_map, relative_rms
 from slepian_prt.evaluation.methods import METHODS
+from slepian_prt.evaluation.metrics import error_map, relative_rms
 from slepian_prt.evaluation.report import write_report
 from slepian_prt.evaluation.sweep import Point, Setting, Sweep
-from slepian_prt.relighting.picture import Picture
-from slepian_prt.scene.environments import make_environment
-from slepian_prt.transport.transfer import Job
+from slepian_prt.files import check_folder
+from slepian_prt.lighting.environment import make_environment
+from slepian_prt.relighting.pictures import Picture
+from slepian_prt.transport.transfer import TransportSettings
 from tests.conftest import bumpy
 
 METHOD_FIELDS = {
@@ -46,8 +46,8 @@ def comparison(tmp_path_factory):
     return compare(
         path,
         maps,
-        job=Job(bandlimit=4, samples=64),
-        grouping=Settings(clusters=8),
+        transport=TransportSettings(bandlimit=4, samples=64),
+        grouping=CompressionSettings(clusters=8),
         methods=METHODS,
         terms=(4, 9, 40),
         width=64,
@@ -153,7 +153,9 @@ def test_a_mitsuba_scene_in_its_own_light(view, tmp_path):
     material = ("diffuse", "reflectance") if view is None else ("roughplastic", "diffuse_reflectance")
     path = tmp_path / "corner.xml"
     path.write_text(CORNER.format(material=material[0], reflectance=material[1]))
-    result = compare(path, (), job=Job(6, 512, view=view), terms=(9,), methods=("adapted",), noise=0.03)
+    result = compare(
+        path, (), transport=TransportSettings(6, 512, view=view), terms=(9,), methods=("adapted",), noise=0.03
+    )
     assert [seen.environment.name for seen in result.views] == ["scene"]
     assert result.views[0].full.radiance.shape == (54, 72, 3)
     assert (result.transfer.bounces > 0) == (view is None)

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from slepian_prt.evaluation.errors import deviation, flip, picture_deviation, relative_mse, relative_rms
 from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE, Stage, ladder
-from slepian_prt.relighting.picture import Picture, trace_camera
+from slepian_prt.evaluation.metrics import deviation, flip, picture_deviation, relative_mse, relative_rms
+from slepian_prt.relighting.pictures import Picture, trace_camera
 from slepian_prt.scene.loading import open_scene
 from tests.conftest import bumpy
 
@@ -67,8 +67,8 @@ def test_flip_grows_with_the_difference(rng):
 def test_rungs_are_held_against_the_same_reference(rng):
     mesh = bumpy(3)
     exact = (0.5 + rng.random((len(mesh.positions), 3))).astype(np.float32)
-    with open_scene(mesh) as (mi, scene):
-        camera = trace_camera(mi, scene, 48)
+    with open_scene(mesh) as scene:
+        camera = trace_camera(scene, 48)
     stages = [
         Stage("no bandlimit", exact, 0.01, 2.0, None),
         Stage("full", exact * np.float32(1.05), 0.0, 3.0, 242.0),

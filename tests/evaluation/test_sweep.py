@@ -15,10 +15,10 @@ from slepian_prt.errors import UserError
 from slepian_prt.evaluation import sweep as sweeping
 from slepian_prt.evaluation.sweep import Axes, Journal, Point, Setting, Sweep, findings, pareto
 from slepian_prt.evaluation.sweep_report import _named, write_sweep
-from slepian_prt.scene.environments import make_environment
-from slepian_prt.transport.transfer import Job
+from slepian_prt.lighting.environment import make_environment
+from slepian_prt.transport.transfer import TransportSettings
 from tests.conftest import bumpy
-from tests.relighting.test_integrator import sky
+from tests.relighting.mitsuba.test_integrator import sky
 
 AXES = Axes(samples=(16, 256), bandlimits=(2, 6), clusters=(8,), tolerances=(0.3, 0.02))
 
@@ -36,7 +36,9 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(folder):
-    return sweeping.sweep(folder / "bumpy.ply", [make_environment(sky(), name="sky")], AXES, Job(), noise=0.01)
+    return sweeping.sweep(
+        folder / "bumpy.ply", [make_environment(sky(), name="sky")], AXES, TransportSettings(), noise=0.01
+    )
 
 
 def point(samples=16, bandlimit=4, tolerance=0.1, error=0.1, seconds=1.0, size=1.0) -> Point:
@@ -71,7 +73,7 @@ def test_lower_bandlimits_are_the_first_coefficients(folder, found):
         folder / "bumpy.ply",
         [make_environment(sky(), name="sky")],
         replace(AXES, samples=(256,), bandlimits=(2,), tolerances=(0.02,)),
-        Job(),
+        TransportSettings(),
         noise=0.01,
     )
     shared = next(p for p in found.points if p.setting == alone.points[0].setting)
@@ -83,7 +85,7 @@ def test_bounces_are_an_axis(folder):
     """The first bounce on a bright surface matters; what is left after it is below the noise here."""
     axes = replace(AXES, samples=(256,), bandlimits=(6,), tolerances=(0.02,), bounces=(None, 0, 1))
     environments = [make_environment(sky(), name="sky")]
-    found = sweeping.sweep(folder / "bumpy.ply", environments, axes, Job(albedo=0.9), noise=0.01)
+    found = sweeping.sweep(folder / "bumpy.ply", environments, axes, TransportSettings(albedo=0.9), noise=0.01)
     error = {p.setting.bounces: p.error["sky"] for p in found.points}
     assert error[0] > 1.3 * error[1]
     assert error[0] > 1.3 * error[None]
@@ -144,18 +146,24 @@ def test_a_front_names_settings_that_are_apart():
 
 
 def test_a_stopped_sweep_goes_on(folder, tmp_path):
-    environments, job = [make_environment(sky(), name="sky")], Job()
+    environments, transport = [make_environment(sky(), name="sky")], TransportSettings()
     axes = replace(AXES, bandlimits=(2,), tolerances=(0.3, 0.1))
     path = tmp_path / "partial"
-    with job.opened(folder / "bumpy.ply") as ready:
-        journal = Journal(path, ready, environments, 0.05)
+    with transport.opened(folder / "bumpy.ply") as planned:
+        journal = Journal(path, planned, environments, 0.05)
     kept = replace(point(samples=16, bandlimit=2, tolerance=0.3), error={"sky": 0.123})
     journal.add(kept)
     with path.open("a") as file:
         file.write('{"key": "cut sho')
     done = []
     found = sweeping.sweep(
-        folder / "bumpy.ply", environments, axes, job, noise=0.05, journal=path, advance=lambda n, _: done.append(n)
+        folder / "bumpy.ply",
+        environments,
+        axes,
+        transport,
+        noise=0.05,
+        journal=path,
+        advance=lambda n, _: done.append(n),
     )
     assert kept in found.points
     assert sum(done) == len(found.points) == 4
@@ -163,9 +171,9 @@ def test_a_stopped_sweep_goes_on(folder, tmp_path):
     # Another job is not taken for the same, nor another mesh of the same name.
     journal.add(kept)
     moved = replace(bumpy(3), positions=1.1 * bumpy(3).positions)
-    for scene, other in ((folder / "bumpy.ply", Job(seed=1)), (moved, job)):
-        with other.opened(scene) as ready:
-            assert Journal(path, ready, environments, 0.05).points == {}
+    for scene, other in ((folder / "bumpy.ply", TransportSettings(seed=1)), (moved, transport)):
+        with other.opened(scene) as planned:
+            assert Journal(path, planned, environments, 0.05).points == {}
 
 
 def test_the_command(folder):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from slepian_prt.compression.clusters import Clusters, cluster_axes
+from slepian_prt.compression.clustering import Clusters, cluster_axes
 from slepian_prt.compression.compressed import load
-from slepian_prt.compression.pipeline import compress
-from slepian_prt.evaluation.errors import seam
-from slepian_prt.scene.meshes import make_mesh
+from slepian_prt.compression.stream import compress
+from slepian_prt.evaluation.metrics import seam
+from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.sphere.caps import Cap
 from slepian_prt.transport.transfer import Transfer, precompute
 from tests.conftest import bumpy, inside_out, sphere

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from slepian_prt.relighting.relight import relight
-from slepian_prt.scene.meshes import make_mesh
+from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, inside_out, sphere

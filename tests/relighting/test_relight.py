@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 import trimesh
 
-from slepian_prt.compression.pipeline import compress
+from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
-from slepian_prt.evaluation.errors import relative_rms
+from slepian_prt.evaluation.metrics import relative_rms
 from slepian_prt.evaluation.reference import render_reference, vertex_reference
+from slepian_prt.lighting.environment import make_environment
+from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.outputs import write_coloured_mesh, write_radiance
-from slepian_prt.relighting.picture import Picture, exposure, to_srgb, trace_camera, write_picture
+from slepian_prt.relighting.pictures import Picture, exposure, to_srgb, trace_camera, write_picture
 from slepian_prt.relighting.relight import relight
-from slepian_prt.scene.cameras import sensor as scene_sensor
-from slepian_prt.scene.environments import make_environment, project_environment
+from slepian_prt.renderer.variants import bitmap_module
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.meshes import make_mesh
-from slepian_prt.scene.variants import bitmap_module
+from slepian_prt.scene.mesh import make_mesh
+from slepian_prt.scene.sensors import sensor as scene_sensor
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
 
@@ -84,8 +85,8 @@ def test_vertex_reference_agrees_where_sh_is_exact():
     """A sky of degree 1 has no bandlimit error; what differs is the noise of both sides."""
     mesh, sky = bumpy(3), make_environment(smooth_sky())
     transfer = precompute(mesh, bandlimit=2, samples=4096)
-    with open_scene(mesh) as (mi, scene):
-        reference = vertex_reference(mi, scene, sky, noise=0.002)
+    with open_scene(mesh) as scene:
+        reference = vertex_reference(scene, sky, noise=0.002)
     full = relight(transfer, project_environment(sky, 2))
     # 4096 rays leave about 4096^-3/4 = 0.2 % in the transfer (DESIGN 6: 0.3 % at L = 5).
     assert relative_rms(full, reference.radiance) <= 3 * math.hypot(reference.noise, 0.003)
@@ -96,9 +97,9 @@ def test_picture_agrees_with_the_path_tracer_where_sh_is_exact(shape):
     """Direction of the light, camera, alpha and exposure: all in one comparison against Mitsuba's own picture."""
     sky = make_environment(smooth_sky()).rotated(30.0)
     transfer = precompute(shape, bandlimit=2, samples=1024)
-    with open_scene(shape) as (mi, scene):
-        reference = render_reference(mi, scene, sky, width=96, noise=0.003)
-        camera = trace_camera(mi, scene, 96)
+    with open_scene(shape) as scene:
+        reference = render_reference(scene, sky, width=96, noise=0.003)
+        camera = trace_camera(scene, 96)
     ours = camera.picture(relight(transfer, project_environment(sky, 2)))
     np.testing.assert_allclose(ours.alpha, reference.picture.alpha, atol=0.25)
     inside = (ours.alpha == 1) & (reference.picture.alpha > 0.999)
@@ -118,9 +119,9 @@ def test_the_lit_side_is_the_references_lit_side(direction):
     sky = make_environment(np.where(towards > 0.97, 50.0, 0.01)[..., None])
     ball = sphere(4)
     transfer = precompute(ball, bandlimit=8, samples=16)
-    with open_scene(ball) as (mi, scene):
-        reference = render_reference(mi, scene, sky, width=64, noise=0.02)
-        ours = trace_camera(mi, scene, 64).picture(relight(transfer, project_environment(sky, 8)))
+    with open_scene(ball) as scene:
+        reference = render_reference(scene, sky, width=64, noise=0.02)
+        ours = trace_camera(scene, 64).picture(relight(transfer, project_environment(sky, 8)))
     a, b = ours.radiance[..., 0].ravel(), reference.picture.radiance[..., 0].ravel()
     # Diffuse shading of a small light is bandlimited to a few per cent at L = 8; a wrong side would be near 0 or below.
     assert np.corrcoef(a, b)[0, 1] > 0.99
@@ -131,9 +132,9 @@ def test_back_sides_are_not_drawn():
     ball = trimesh.creation.icosphere(4)
     faces = ball.faces[(ball.vertices[ball.faces][:, :, 2] <= 1e-9).all(axis=1)]  # open towards the camera
     shell = make_mesh(ball.vertices, faces)
-    with open_scene(shell) as (mi, scene):
-        camera = trace_camera(mi, scene, 64)
-        reference = render_reference(mi, scene, make_environment(smooth_sky()), width=64, noise=0.05)
+    with open_scene(shell) as scene:
+        camera = trace_camera(scene, 64)
+        reference = render_reference(scene, make_environment(smooth_sky()), width=64, noise=0.05)
     assert camera.behind.sum() > 5 * camera.alpha.sum()
     masked = camera.masked(reference.picture)
     assert masked.radiance[camera.alpha == 0].max() == 0.0
@@ -142,9 +143,9 @@ def test_back_sides_are_not_drawn():
 
 def test_no_ray_slips_through_an_edge_to_a_bright_far_side(rng):
     ball = sphere(5)
-    with open_scene(ball) as (mi, scene):
-        camera = trace_camera(mi, scene, 256)
-        eye = np.array(mi.traverse(scene_sensor(mi, scene, 256))["to_world"].matrix)[:3, 3].ravel()
+    with open_scene(ball) as scene:
+        camera = trace_camera(scene, 256)
+        eye = np.array(scene.mi.traverse(scene_sensor(scene, 256))["to_world"].matrix)[:3, 3].ravel()
     radiance = np.where((ball.normals @ (eye / np.linalg.norm(eye)) < -0.05)[:, None], 1.0, 0.0).repeat(3, axis=1)
     assert camera.picture(radiance).radiance.max() == 0.0
 

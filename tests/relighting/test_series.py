@@ -8,15 +8,15 @@ import pytest
 import trimesh
 from matplotlib import pyplot as plt
 
-from slepian_prt.compression.pipeline import compress
+from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
+from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting import outputs
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.series import Lights, relit_series
-from slepian_prt.scene.environments import project_environment
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy
-from tests.relighting.test_integrator import sky
+from tests.relighting.mitsuba.test_integrator import sky
 
 
 @pytest.fixture(scope="module")

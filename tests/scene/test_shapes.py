@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.environments import emitted_environment, project_environment
+from slepian_prt.lighting.emitters import emitted_environment
+from slepian_prt.lighting.projection import project_environment
+from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.variants import mitsuba
 from slepian_prt.transport.transfer import precompute
 
 TURNED = (
@@ -49,11 +50,12 @@ def area(mesh) -> float:
 def test_shapes_become_meshes(kind, exact, flipped, placed, tmp_path):
     flip = f'<boolean name="flip_normals" value="{flipped}"/>'
     body = f'<shape type="{kind}">{flip}{placed}<bsdf type="diffuse"/></shape>'
-    with open_scene(write(tmp_path, body)) as (mi, scene):
+    with open_scene(write(tmp_path, body)) as scene:
+        mi = scene.mi
         mesh = scene.mesh
         # 48 cuts around a circle lose (2π/48)²/6 of its area.
         assert area(mesh) == pytest.approx(exact, rel=4e-3)
-        assert mesh.receivers.all()
+        assert mesh.receivers.active.all()
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-6)
         # Faces turn the way that the normals point, and both the way that Mitsuba's own shape does.
         corner = mesh.positions[mesh.faces]
@@ -79,7 +81,7 @@ def test_shapes_become_meshes(kind, exact, flipped, placed, tmp_path):
 
 
 def test_a_cube_keeps_its_edges(tmp_path):
-    with open_scene(write(tmp_path, '<shape type="cube"><bsdf type="diffuse"/></shape>')) as (_, scene):
+    with open_scene(write(tmp_path, '<shape type="cube"><bsdf type="diffuse"/></shape>')) as scene:
         normals = scene.mesh.normals
         assert np.allclose(np.abs(normals).max(axis=1), 1.0)  # none is averaged over an edge
         assert len(normals) > 1000
@@ -113,7 +115,7 @@ def test_shared_and_layered_materials(tmp_path):
       <rgb name="diffuse_reflectance" value="0.2, 0.4, 0.6"/></bsdf></bsdf>
       <shape type="sphere" id="a"><ref id="paint"/></shape>
       <shape type="disk" id="b"><transform name="to_world"><translate x="5"/></transform><ref id="paint"/></shape>"""
-    with open_scene(write(tmp_path, body)) as (_, scene):
+    with open_scene(write(tmp_path, body)) as scene:
         assert [part.name for part in scene.parts] == ["a", "b"]
         np.testing.assert_allclose(scene.mesh.albedo - np.float32([0.2, 0.4, 0.6]), 0.0, atol=1e-6)
         assert scene.two_sided == (True, True)
@@ -196,7 +198,7 @@ def test_constant_and_sky():
 
 def test_the_scenes_own_light_is_kept_with_the_transfer(tmp_path):
     from slepian_prt.compression.compressed import load
-    from slepian_prt.compression.pipeline import compress
+    from slepian_prt.compression.stream import compress
 
     body = """<emitter type="constant"><rgb name="radiance" value="1, 2, 3"/></emitter>
       <sensor type="perspective" id="cam"><float name="fov" value="40"/><transform name="to_world">
@@ -230,7 +232,7 @@ def test_metal_is_not_diffuse(tmp_path):
     body = """<shape type="sphere"><bsdf type="principled"><rgb name="base_color" value="0.9, 0.6, 0.3"/>
       <float name="metallic" value="{metallic}"/></bsdf></shape>"""
     for metallic in (0.0, 0.25, 1.0):
-        with open_scene(write(tmp_path, body.format(metallic=metallic))) as (_, scene):
+        with open_scene(write(tmp_path, body.format(metallic=metallic))) as scene:
             expected = (1.0 - metallic) * np.float32([0.9, 0.6, 0.3])
             np.testing.assert_allclose(scene.mesh.albedo - expected, 0.0, atol=1e-6)
 
@@ -238,7 +240,7 @@ def test_metal_is_not_diffuse(tmp_path):
 def test_blends_with_metal(tmp_path):
     body = """<shape type="sphere"><bsdf type="blendbsdf"><float name="weight" value="0.4"/><bsdf type="diffuse"/>
       <bsdf type="roughconductor"><string name="material" value="Ag"/></bsdf></bsdf></shape>"""
-    with open_scene(write(tmp_path, body)) as (_, scene):
+    with open_scene(write(tmp_path, body)) as scene:
         np.testing.assert_allclose(scene.mesh.albedo, 0.6 * 0.5, atol=1e-6)
 
 
@@ -290,6 +292,6 @@ def test_an_unreadable_texture(tmp_path):
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_cubes_of_any_size_are_cut_alike(scale, tmp_path):
     placed = f'<transform name="to_world"><scale value="{scale}"/></transform>'
-    with open_scene(write(tmp_path, f'<shape type="cube">{placed}<bsdf type="diffuse"/></shape>')) as (_, scene):
+    with open_scene(write(tmp_path, f'<shape type="cube">{placed}<bsdf type="diffuse"/></shape>')) as scene:
         assert area(scene.mesh) == pytest.approx(24.0 * scale**2, rel=1e-4)
         assert len(scene.mesh.positions) == 6 * round((len(scene.mesh.faces) / 12) ** 0.5 + 1) ** 2

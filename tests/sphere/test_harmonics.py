@@ -52,7 +52,7 @@ def test_matches_scipy(rng):
 
 
 def test_matches_drjit(rng):
-    from slepian_prt.scene.variants import mitsuba
+    from slepian_prt.renderer.variants import mitsuba
 
     d = random_directions(rng, 50).astype(np.float32)
     with mitsuba() as mi:

@@ -9,7 +9,7 @@ from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
 from slepian_prt.sphere.rotation import rotate_sh
-from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.visibility import Seen, VisibilityTracer
 
 MEAN = math.sqrt(4 * math.pi)
@@ -17,7 +17,7 @@ MEAN = math.sqrt(4 * math.pi)
 
 @pytest.mark.parametrize("nodes", [8, 100, 700])
 def test_net_covers_the_hemisphere(nodes):
-    net = direction_net(nodes)
+    net = direction_set(nodes)
     assert net.size == nodes
     assert net.weights.sum() == pytest.approx(1.0, abs=1e-12)
     assert (net.directions[:, 2] > 0.0).all()
@@ -27,7 +27,7 @@ def test_net_covers_the_hemisphere(nodes):
 
 
 def test_all_blocked_is_exactly_the_unoccluded_lobe():
-    net = direction_net(200)
+    net = direction_set(200)
     nodes, _ = net.tables(8)
     exact = (real_sh(8, [[0.0, 0.0, 1.0]]) * cosine_lobe(8)[degrees(8)])[0]
     # Sums of 200 float32 numbers.
@@ -35,7 +35,7 @@ def test_all_blocked_is_exactly_the_unoccluded_lobe():
 
 
 def test_a_corner_and_the_rest_make_a_triangle():
-    net = direction_net(150)
+    net = direction_set(150)
     thirds = net.tables(0)[1][:, 0].reshape(-1, 3, 4, 4)
     # In barycentric coordinates the corner cut at u and v has the part u v of the triangle, wherever the triangle is.
     middle = (np.arange(4) + 0.5) / 4
@@ -72,7 +72,7 @@ def blocked_by_half_plane(bandlimit: int, height: float) -> np.ndarray:
 @pytest.mark.parametrize("nodes", [100, 400])
 def test_straight_boundaries_are_found_to_second_order(nodes):
     """Half planes at many heights and angles: the error is that of quantised crossings, far below a node's share."""
-    net = direction_net(nodes)
+    net = direction_set(nodes)
     tracer = object.__new__(VisibilityTracer)  # its tables without a scene to trace
     tracer.net = net
     tracer.node_table, tracer.corner_table = net.tables(5)

@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from slepian_prt.compression.pipeline import compress
+from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.reference import vertex_reference
+from slepian_prt.lighting.environment import make_environment
+from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.relight import relight
-from slepian_prt.scene.environments import make_environment, project_environment
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import ROOT
@@ -70,8 +71,8 @@ def test_agrees_with_the_path_tracer(kind, write):
     light = make_environment((1.0 + 0.7 * np.cos(theta) + 0.2 * np.sin(phi) * np.sin(theta)) * np.ones(3))
     transfer = precompute(path, 8, 2048, view="front")
     relit = relight(transfer, project_environment(light, 8))
-    with open_scene(path, view="front") as (mi, scene):
-        reference = vertex_reference(mi, scene, light, noise=0.004, view=transfer.view)
+    with open_scene(path, view="front") as scene:
+        reference = vertex_reference(scene, light, noise=0.004, view=transfer.view)
     ball = slice(0, transfer.parts[0].count)
     seen = transfer.axes[ball].any(axis=1)
     eye = np.array(transfer.view.to_world)[:3, 3] - transfer.positions[ball]

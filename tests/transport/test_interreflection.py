@@ -7,10 +7,11 @@ import pytest
 from scipy.stats import t as student_t
 
 from slepian_prt.evaluation.reference import vertex_reference
+from slepian_prt.lighting.environment import make_environment
+from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.relight import relight
-from slepian_prt.scene.environments import make_environment, project_environment
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.meshes import Mesh, make_mesh
+from slepian_prt.scene.mesh import Mesh, make_mesh
 from slepian_prt.transport.transfer import Transfer, precompute
 from tests.conftest import ROOT, inside_out, sphere
 
@@ -97,9 +98,9 @@ def test_cornell_box_agrees_with_the_path_tracer(cornell):
     """Per vertex, under a light that the bandlimit holds exactly: differences are noise, by a Z-test."""
     light = make_environment(np.full((8, 16, 3), 1.0, dtype=np.float32) * [1.0, 0.8, 0.6])
     relit = relight(cornell, project_environment(light, 6))
-    with open_scene(ROOT / "scenes" / "cornell.xml") as (mi, scene):
+    with open_scene(ROOT / "scenes" / "cornell.xml") as scene:
         runs = [
-            vertex_reference(mi, scene, light, noise=1.0, largest_samples=256, bounces=cornell.bounces, seed=seed)
+            vertex_reference(scene, light, noise=1.0, largest_samples=256, bounces=cornell.bounces, seed=seed)
             for seed in range(8)
         ]
     radiance = np.stack([run.radiance for run in runs]).astype(np.float64)

@@ -8,7 +8,7 @@ import trimesh
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.meshes import Mesh, make_mesh
+from slepian_prt.scene.mesh import Mesh, make_mesh
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.quadrature import spherical_fibonacci
@@ -59,7 +59,7 @@ def test_hemispherical_bowl_has_the_known_sky():
     faces = ball.faces[(ball.vertices[ball.faces][:, :, 2] <= 1e-9).all(axis=1)]
     bowl = make_mesh(ball.vertices, faces[:, ::-1])
     transfer = precompute(bowl, bandlimit=0, samples=4096)
-    used = bowl.receivers
+    used = bowl.receivers.active
     alpha = np.arccos(np.clip(-bowl.positions[used, 2], -1, 1))
     # Inside a sphere every surface element receives equally from every other: the open part is the open area
     # fraction 1/2 of the sphere, at every point (the same closed form that gives the bounces).
@@ -138,7 +138,7 @@ def test_scale_and_translation_do_not_matter(scale, shift):
 
 def test_supporting_planes():
     mesh = bumpy(4)
-    with open_scene(mesh) as (_, scene):
+    with open_scene(mesh) as scene:
         shadowed = shadowed_vertices(scene)
     # Brute force over all vertices.
     heights = (mesh.normals @ mesh.positions.T).max(axis=1) - np.einsum("ij,ij->i", mesh.normals, mesh.positions)

@@ -10,7 +10,7 @@ from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh
-from slepian_prt.transport.directions import direction_net
+from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.transfer import precompute
 from slepian_prt.transport.visibility import VisibilityTracer, nodes_for, shadowed_vertices
 
@@ -42,9 +42,10 @@ def test_a_sphere_above_a_floor(tmp_path):
 def skull(data):
     """400 vertices of the skull at random, and their blocked transfer by brute force over 65,536 directions."""
     bandlimit, rays = 10, 65536
-    with open_scene(data / "meshes" / "skull.ply") as (mi, scene):
+    with open_scene(data / "meshes" / "skull.ply") as scene:
+        mi = scene.mi
         chosen = np.random.default_rng(4).choice(len(scene.mesh.positions), 400, replace=False)
-        tracer = VisibilityTracer(mi, scene, bandlimit, direction_net(256), 0)
+        tracer = VisibilityTracer(scene, bandlimit, direction_set(256), 0)
         directions = hemisphere_fibonacci(rays)
         harmonics = (real_sh(bandlimit, directions) / rays).astype(np.float32)
         frames, origins = tracer.frames(chosen), scene.ray_origins[chosen]
@@ -52,7 +53,7 @@ def skull(data):
         for i, (frame, origin) in enumerate(zip(frames, origins, strict=True)):
             world = (directions @ frame.T).astype(np.float32)
             ray = mi.Ray3f(mi.Point3f(origin.tolist()), mi.Vector3f(world.T))
-            hit = np.array(scene.geometry(mi).ray_test(ray)).astype(np.float32)
+            hit = np.array(scene.geometry.ray_test(ray)).astype(np.float32)
             blocked[i] = rotate_sh(hit @ harmonics, frame)
         exact = real_sh(bandlimit, scene.mesh.normals[chosen]) * cosine_lobe(bandlimit)[degrees(bandlimit)] - blocked
         shadowed = np.isin(chosen, np.flatnonzero(shadowed_vertices(scene)))

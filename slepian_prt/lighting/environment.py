@@ -1,0 +1,85 @@
+"""Environment maps as distant light, checked, and projected on spherical harmonics as Mitsuba would light with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.lighting.map_files import Checked, Rows, array_rows, file_rows
+from slepian_prt.lighting.texel_projection import resampled
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A distant light: radiance by direction, on a latitude-longitude grid.
+
+    Attributes
+    ----------
+    name : str
+    texels : (H, W, 3) float32
+        Linear RGB radiance, none negative, all finite, H >= 3.
+    to_world : (3, 3)
+        Rotation from the map's frame (y up) to the world.
+    clamped : int
+        Number of negative texels that were set to zero.
+    """
+
+    name: str
+    texels: NDArray[np.float32]
+    to_world: NDArray[np.float64]
+    clamped: int = 0
+
+    def rotated(self, degrees: float) -> Environment:
+        """Turned counter-clockwise about the world's up axis y."""
+        return replace(self, to_world=about_up(degrees) @ self.to_world)
+
+
+def about_up(degrees: float) -> NDArray[np.float64]:
+    """Rotation matrix about y by an angle in degrees, counter-clockwise seen from above."""
+    if not math.isfinite(degrees):
+        raise UserError(f"rotation must be a finite number of degrees, not {degrees!r}")
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def read_environment(path: str | Path, *, clamp_negative: bool = False) -> Environment:
+    """Read a latitude-longitude map: .exr (any compression, half or float), .hdr, .png or .jpg (taken as sRGB).
+
+    Small negative texels, which encoders leave, are set to zero and counted.
+
+    Raises
+    ------
+    UserError
+        Missing or unreadable file, a shape other than 2:1, NaN or infinite texels, or (unless ``clamp_negative``)
+        negative texels that matter.
+    """
+    return checked_environment(file_rows(path), clamp_negative)
+
+
+def check_names(paths: Sequence[str | Path]) -> None:
+    """Raise UserError unless results under maps can be told apart by the names of their files."""
+    names = [Path(path).stem for path in paths]
+    if len(set(names)) < len(names):
+        raise UserError(f"environments must have different names, not {', '.join(names)}; rename one of the files")
+
+
+def make_environment(
+    texels: ArrayLike, *, name: str = "environment", origin: str = "environment", clamp_negative: bool = False
+) -> Environment:
+    """Check an array (H, W) or (H, W, 3), W = 2H, of radiance and wrap it; see `read_environment`."""
+    return checked_environment(array_rows(texels, name, origin), clamp_negative)
+
+
+def checked_environment(rows: Rows, clamp_negative: bool) -> Environment:
+    """All rows of a map, checked; at least the three that Mitsuba takes."""
+    checked = Checked(rows, clamp_negative)
+    image = np.concatenate(list(checked))
+    if len(image) < 3:  # the smallest that Mitsuba takes
+        image = resampled(image, 3, max(image.shape[1], 6))
+    return Environment(rows.name, image, np.eye(3), checked.clamped)

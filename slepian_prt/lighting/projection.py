@@ -1,0 +1,105 @@
+"""Distant light of any kind projected on spherical harmonics as Mitsuba would light with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slepian_prt.errors import UserError, check_bandlimit
+from slepian_prt.lighting.emitters import emitted_environment
+from slepian_prt.lighting.environment import Environment, about_up, checked_environment
+from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
+from slepian_prt.lighting.texel_projection import Projection
+
+
+def project_environment(
+    environment: Environment | str | Path | ArrayLike | Any,
+    bandlimit: int,
+    *,
+    rotate: float | ArrayLike = 0.0,
+    clamp_negative: bool = False,
+) -> NDArray[np.float64]:
+    """Spherical-harmonic coefficients of a map's radiance, in world space.
+
+    Exact for maps that are bandlimited themselves; maps of fewer than 8 rows per degree are interpolated first, as
+    Mitsuba would. Files (.exr) are read a few rows at a time.
+
+    Parameters
+    ----------
+    environment : Environment, a path, an array (H, 2H, 3), or an environment emitter of Mitsuba's current variant
+    bandlimit : int
+    rotate : float or (3, 3)
+        Degrees, counter-clockwise about the up axis y; or any rotation of the light.
+    clamp_negative : bool
+        Of a path or an array: set negative texels to zero however much light they are.
+
+    Returns
+    -------
+    (3, (L+1)²) float64
+
+    Raises
+    ------
+    UserError, ValueError
+    """
+    bandlimit = check_bandlimit(bandlimit)
+    return project_checked(environment, bandlimit, rotate=rotate, clamp_negative=clamp_negative)[0]
+
+
+def project_checked(
+    environment: Environment | str | Path | ArrayLike | Any,
+    bandlimit: int,
+    *,
+    rotate: float | ArrayLike = 0.0,
+    clamp_negative: bool = False,
+) -> tuple[NDArray[np.float64], int]:
+    """`project_environment`, and how many negative texels were set to zero."""
+    turn = rotation_matrix(rotate)
+    if hasattr(environment, "is_environment"):
+        environment = _of_emitter(environment)
+    if isinstance(environment, str | Path):
+        rows = file_rows(environment)
+    elif isinstance(environment, Environment):
+        height, width = environment.texels.shape[:2]
+        projection = Projection(height, width, bandlimit, turn @ environment.to_world)
+        return projection(environment.texels), environment.clamped
+    else:
+        rows = array_rows(environment, "environment", "environment")
+    if not Projection.enough_rows(rows.height, bandlimit):
+        return project_checked(checked_environment(rows, clamp_negative), bandlimit, rotate=turn)
+    checked = Checked(rows, clamp_negative)
+    lighting = Projection(rows.height, rows.width, bandlimit, turn).of_rows(checked)
+    return lighting, checked.clamped
+
+
+def rotation_matrix(rotate: float | ArrayLike) -> NDArray[np.float64]:
+    """The rotation matrix that ``rotate`` of `project_environment` stands for.
+
+    Raises
+    ------
+    UserError
+        Not finite, or a matrix that is no rotation.
+    """
+    if hasattr(rotate, "matrix"):  # a transform of Mitsuba
+        rotate = np.array(rotate.matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
+    try:
+        matrix = np.asarray(rotate, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError(f"rotation must be a number of degrees or a (3, 3) matrix, not {rotate!r}") from None
+    if matrix.ndim == 0:
+        return about_up(float(matrix))
+    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):
+        raise UserError(f"rotation must be a number of degrees or a (3, 3) matrix, not of shape {matrix.shape}")
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-6 or np.linalg.det(matrix) < 0.0:
+        raise UserError("rotation must be a rotation matrix: orthogonal, with determinant 1")
+    return matrix
+
+
+def _of_emitter(emitter: Any) -> Environment:
+    if not emitter.is_environment():
+        raise UserError(f"emitter {emitter.class_name()} is no distant light; give an envmap, a sunsky or a constant")
+    import mitsuba as mi
+
+    return emitted_environment(mi, emitter, "emitter")

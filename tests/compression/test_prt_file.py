@@ -1,0 +1,158 @@
+import contextlib
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+from slepian_prt import files
+from slepian_prt.compression import archive
+from slepian_prt.compression.compressed import load
+from slepian_prt.compression.stream import compress
+from slepian_prt.errors import UserError
+from slepian_prt.transport.transfer import precompute
+from tests.conftest import bumpy, sphere
+
+
+@pytest.fixture(scope="module", params=["float32", "coded"])
+def packed(request):
+    return compress(precompute(bumpy(3), bandlimit=4, samples=64), tolerance=0.05, clusters=8, coding=request.param)
+
+
+@pytest.fixture(scope="module")
+def content(packed, tmp_path_factory):
+    path = tmp_path_factory.mktemp("prt") / "bumpy.prt"
+    packed.save(path)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("basis", ["adapted", "transport", "slepian", "incident", "sh", "cpca", "direct", "none"])
+@pytest.mark.parametrize("coding", ["float32", "float16", "coded"])
+def test_what_is_read_is_what_was_written(basis, coding, tmp_path):
+    transfer = precompute(bumpy(2), bandlimit=4, samples=64)
+    options = {} if basis == "none" else {"tolerance": 0.1}
+    before = compress(transfer, basis, clusters=6, coding=coding, **options)
+    before.save(tmp_path / "file.prt")
+    after = load(tmp_path / "file.prt")
+    np.testing.assert_array_equal(after.reconstruct(), before.reconstruct())
+    np.testing.assert_array_equal(after.mesh.faces, before.mesh.faces)
+    for name in ("basis", "bandlimit", "terms", "predicted_error", "effects", "rays_traced", "seconds", "parts"):
+        assert getattr(after, name) == getattr(before, name)
+    assert after.bytes_per_vertex == before.bytes_per_vertex
+    light = np.random.default_rng(0).normal(size=(3, 25))
+    np.testing.assert_array_equal(after.radiance(light), before.radiance(light))
+
+
+def test_bytes_per_vertex_is_what_the_file_spends(packed, content):
+    with zipfile.ZipFile(io.BytesIO(content)) as container:
+        others = [i for i in container.infolist() if i.filename.startswith(("mesh/", "manifest"))]
+    # A member takes a local header of 30 bytes, an entry of 46 in the directory, and its name in both.
+    mesh = sum(i.compress_size + 76 + 2 * len(i.filename) for i in others)
+    assert packed.bytes_per_vertex == pytest.approx((len(content) - mesh) / len(packed.mesh.positions), rel=1e-12)
+
+
+def test_same_content_same_bytes(packed, content, tmp_path):
+    packed.save(tmp_path / "again.prt")
+    assert (tmp_path / "again.prt").read_bytes() == content
+
+
+def test_readable_by_others(content):
+    with zipfile.ZipFile(io.BytesIO(content)) as container:
+        assert json.loads(container.read("manifest.json"))["format"] == archive.FORMAT
+        positions = np.load(io.BytesIO(container.read("mesh/positions.npy")), allow_pickle=False)
+    assert positions.shape == (642, 3)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_cut_short(part, content, tmp_path):
+    path = tmp_path / "cut.prt"
+    path.write_bytes(content[: int(part * len(content))])
+    with pytest.raises(UserError, match=r"cut\.prt: is not a transfer file, or is cut short or damaged"):
+        load(path)
+
+
+def test_flipped_bytes_never_decode_silently(content, tmp_path, packed):
+    """A changed byte is either refused, or in a field that changes nothing of what is read."""
+    rng = np.random.default_rng(5)
+    reference = packed.reconstruct()
+    path = tmp_path / "flipped.prt"
+    refused = 0
+    for position in rng.integers(0, len(content), 150):
+        spoiled = bytearray(content)
+        spoiled[position] ^= 1 << rng.integers(8)
+        path.write_bytes(spoiled)
+        with contextlib.suppress(UserError):
+            refused += 1
+            read = load(path)
+            refused -= 1
+            np.testing.assert_array_equal(read.reconstruct(), reference)
+            np.testing.assert_array_equal(read.mesh.positions, packed.mesh.positions)
+    assert refused >= 130
+
+
+@pytest.mark.parametrize("foreign", [b"PK\x03\x04 something", b"\x89PNG\r\n", b"ply\nformat ascii 1.0\n"])
+def test_foreign_files(foreign, tmp_path):
+    path = tmp_path / "foreign.prt"
+    path.write_bytes(foreign)
+    with pytest.raises(UserError, match="not a transfer file"):
+        load(path)
+
+
+def test_foreign_zip_and_newer_version(tmp_path):
+    path = tmp_path / "other.prt"
+    with zipfile.ZipFile(path, "w") as container:
+        container.writestr("manifest.json", json.dumps({"format": "other"}))
+    with pytest.raises(UserError, match="not a transfer file of slepian-prt"):
+        load(path)
+    with zipfile.ZipFile(path, "w") as container:
+        container.writestr("manifest.json", json.dumps({"format": archive.FORMAT, "version": 99}))
+    with pytest.raises(UserError, match=r"format version 99.*update"):
+        load(path)
+    with zipfile.ZipFile(path, "w") as container:
+        container.writestr(
+            "manifest.json", json.dumps({"format": archive.FORMAT, "version": archive.VERSION, "arrays": []})
+        )
+    with pytest.raises(UserError, match="do not fit together"):
+        load(path)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(UserError, match="no such file"):
+        load(tmp_path / "nothing.prt")
+
+
+class Interrupted(BaseException):
+    pass
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device"), Interrupted])
+def test_nothing_is_left_of_a_write_that_fails(error, tmp_path):
+    path = tmp_path / "out.prt"
+    path.write_bytes(b"the old one")
+
+    def fail() -> None:
+        with files.atomic_output(path) as file:
+            file.write(b"half")
+            raise error
+
+    with pytest.raises((UserError, KeyboardInterrupt, Interrupted)):
+        fail()
+    assert path.read_bytes() == b"the old one"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_folder_that_is_missing_or_in_the_way(tmp_path):
+    for check in (files.check_writable, lambda path: archive.atomic_output(path).__enter__()):
+        with pytest.raises(UserError, match=r"choose another|create it"):
+            check(tmp_path / "missing" / "out.prt")
+        with pytest.raises(UserError, match="is a folder"):
+            check(tmp_path)
+
+
+def test_many_functions_of_high_degree_come_back(tmp_path):
+    """More than 2^15 numbers in the tables of radial functions."""
+    transfer = precompute(sphere(3), 20, 16)
+    packed = compress(transfer, "transport", terms=441, clusters=64, coding="float16")
+    packed.save(tmp_path / "high.prt")
+    np.testing.assert_array_equal(load(tmp_path / "high.prt").reconstruct(), packed.reconstruct())

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from slepian_prt.compression.operator import Factors, TransferOperator, without_the_least
+from slepian_prt.compression.stream import compress
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.transfer import precompute
+from tests.conftest import bumpy
+
+
+@pytest.fixture(scope="module")
+def shadowed():
+    return precompute(bumpy(4), bandlimit=6, samples=256)
+
+
+def made_up(rng, channels: int = 1, caps: int = 5, bandlimit: int = 4):
+    """Caps of many sizes (one of them empty), their vertices, and the whole matrix."""
+    sizes = [0, *rng.integers(1, 40, caps - 1)]
+    members = np.split(rng.permutation(sum(sizes)), np.cumsum(sizes)[:-1])
+    size = num_coefficients(bandlimit)
+    parts = []
+    whole = np.zeros((sum(sizes), channels, size))
+    for vertices in members:
+        rank = int(rng.integers(1, 12))
+        part = Factors(
+            rng.normal(size=(len(vertices), rank)).astype(np.float32), rng.normal(size=(rank, channels, size))
+        )
+        parts.append(part)
+        whole[vertices] = np.einsum("nr,rcm->ncm", part.coefficients, part.functions)
+    return parts, members, whole
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("count", [1, 4])
+def test_apply_is_the_product_and_adjoint_its_transpose(channels, count, rng):
+    parts, members, whole = made_up(rng, channels)
+    operator = TransferOperator(parts, members)
+    lights = rng.normal(size=(count, 3, 25))
+    expected = np.einsum("vcm,bcm->bvc", np.broadcast_to(whole, (len(whole), 3, 25)), lights)
+    found = operator.apply(lights)
+    assert found.shape == (count, len(whole), 3)
+    # Sums of some 100 products in float32.
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+    gradient = rng.normal(size=found.shape)
+    back = operator.adjoint(gradient)
+    assert back.shape == lights.shape
+    np.testing.assert_allclose(np.sum(back * lights), np.sum(gradient * expected), rtol=1e-4)
+    expected = np.einsum("bvc,vcm->bcm", gradient, np.broadcast_to(whole, (len(whole), 3, 25)))
+    np.testing.assert_allclose(back, expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_leaving_out_keeps_to_the_energy_allowed_and_no_function_too_many(channels, rng):
+    parts, _, _ = made_up(rng, channels)
+    weights = rng.random(25) + 0.1
+    parts = [part for part in parts if part.coefficients.size]
+    fewer = without_the_least(parts, weights, 0.3)
+    lost = total = 0.0
+    for part, less in zip(parts, fewer, strict=True):
+        full = np.einsum("nr,rcm->ncm", part.coefficients, part.functions) * weights
+        kept = np.einsum("nr,rcm->ncm", less.coefficients, less.functions) * weights
+        lost, total = lost + np.sum((full - kept) ** 2), total + np.sum(full**2)
+    assert 0.15 < np.sqrt(lost / total) <= 0.3
+    count = sum(less.coefficients.size for less in fewer)
+    assert count < sum(part.coefficients.size for part in parts)
+
+
+def test_leaving_out_nothing_keeps_the_product_with_dependent_functions(rng):
+    functions = rng.normal(size=(3, 1, 25))
+    doubled = Factors(rng.normal(size=(10, 6)).astype(np.float32), np.concatenate([functions, 2.0 * functions]))
+    (same,) = without_the_least([doubled], np.ones(25), 0.0)
+    assert same.coefficients.shape == (10, 3)
+    np.testing.assert_allclose(
+        same.coefficients @ same.functions[:, 0], doubled.coefficients @ doubled.functions[:, 0], atol=1e-5
+    )
+
+
+@pytest.mark.parametrize("coding", ["coded", "float32", "float16"])
+@pytest.mark.parametrize("basis", ["adapted", "pca", "sh"])
+def test_relit_as_reconstructed(basis, coding, shadowed, rng):
+    if basis == "pca" and coding == "coded":
+        pytest.skip("not coded")
+    packed = compress(shadowed, basis, terms=9 if coding != "coded" else None, clusters=16, coding=coding)
+    lights = rng.normal(size=(20, 3, 49))
+    expected = np.einsum("vm,bcm->bvc", packed.reconstruct(), lights)
+    allowed = 1.2 * 0.01 * packed.predicted_error if coding == "coded" else 1e-6
+    assert np.linalg.norm(packed.operator.apply(lights) - expected) <= allowed * np.linalg.norm(expected)
