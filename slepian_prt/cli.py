@@ -272,10 +272,9 @@ def precompute(
         note(f"--bounces {transport.bounces} has no effect: no light between surfaces is simulated (see the plan)")
     packed.save(output)
     error = settings.expected_error(packed.expected)
-    if not settings.by_number and error > 1.01 * settings.asked:
-        note(
-            f"a tolerance of {settings.asked:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}"
-        )
+    wanted = settings.resolved_tolerance
+    if not settings.by_number and error > 1.01 * wanted:
+        note(f"a tolerance of {wanted:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}")
     seconds = packed.seconds
     under = f" under light of {packed.prior}" if packed.prior else ""
     click.echo(
@@ -335,7 +334,7 @@ def _take(options: dict[str, Any], kind: Any) -> dict[str, Any]:
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def info(file: str, as_json: bool) -> None:
     """What a transfer FILE holds, what was simulated, and what error to expect."""
-    from slepian_prt.compression.compressed import load
+    from slepian_prt.compression.prt_file import load
 
     packed = load(file)
     content: dict[str, Any] = {
@@ -422,7 +421,7 @@ def relight(
 
     Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
     """
-    from slepian_prt.compression.compressed import load
+    from slepian_prt.compression.prt_file import load
     from slepian_prt.relighting.outputs import check_output
     from slepian_prt.relighting.series import Lights, relit_series, write_relit
 

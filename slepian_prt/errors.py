@@ -28,13 +28,7 @@ def check_bandlimit(bandlimit: Any, name: str = "bandlimit", largest: int = 1000
         Not an integer, negative, or above ``largest`` (from about 1400 on the recurrence of the associated Legendre
         functions leaves the range of float64).
     """
-    try:
-        value = operator.index(bandlimit)
-    except TypeError:
-        raise UserError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}") from None
-    if isinstance(bandlimit, bool) or not 0 <= value <= largest:
-        raise UserError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}")
-    return value
+    return check_integer(bandlimit, name, 0, largest)
 
 
 def check_half_angle(half_angle: Any, name: str = "half_angle") -> float:
@@ -47,15 +41,20 @@ def check_epsilon(epsilon: Any, name: str = "epsilon") -> float:
     return _check_real(epsilon, name, "(0, 1)", lambda x: 0.0 < x < 1.0)
 
 
-def check_terms(terms: Any, largest: int, name: str = "terms") -> int:
-    """Return ``terms`` as an int; raise ValueError unless 1 <= terms <= largest."""
+def check_integer(value: Any, name: str, smallest: int, largest: int | None = None) -> int:
+    """Return ``value`` as an int; raise UserError unless it is an integer from ``smallest`` to ``largest``."""
+    allowed = f"an integer in [{smallest}, {largest}]"
+    if largest is None:
+        allowed = {0: "a non-negative integer", 1: "a positive integer"}.get(
+            smallest, f"an integer of at least {smallest}"
+        )
     try:
-        value = operator.index(terms)
+        number = operator.index(value)
     except TypeError:
-        raise UserError(f"{name} must be an integer in [1, {largest}], not {terms!r}") from None
-    if isinstance(terms, bool) or not 1 <= value <= largest:
-        raise UserError(f"{name} must be an integer in [1, {largest}], not {terms!r}")
-    return value
+        raise UserError(f"{name} must be {allowed}, not {value!r}") from None
+    if isinstance(value, bool) or number < smallest or (largest is not None and number > largest):
+        raise UserError(f"{name} must be {allowed}, not {value!r}")
+    return number
 
 
 def check_directions(directions: ArrayLike, name: str = "directions") -> NDArray[np.float64]:

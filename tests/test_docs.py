@@ -19,7 +19,9 @@ import pytest
 import trimesh
 
 import slepian_prt as sp
+from slepian_prt.compression.decoder import decode
 from tests.format_reader import cumulative_tables, read, transfer_vectors
+from tests.numerics import assert_exact, assert_rounded
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -237,15 +239,15 @@ def test_independent_reader_agrees(transfers, channels, options, tmp_path):
     sp.compress(transfers[channels], clusters=5, **options).save(tmp_path / "ball.prt")
     packed, file = sp.load(tmp_path / "ball.prt"), read(tmp_path / "ball.prt")
     for number, cap in enumerate(file.caps):
-        members, coefficients = packed.cap(number)
-        np.testing.assert_array_equal(cap.members, members)
-        assert (cap.axes is None) == (coefficients.axes is None)
-        # Products of the same two numbers, rounded once.
-        np.testing.assert_array_equal((cap.numbers * cap.scale).astype(np.float32), coefficients.values)
-    ours = packed.reconstruct().reshape(len(file.index), -1, 25)
-    largest = np.abs(ours).max()
-    # Both are sums of fewer than 100 products in float32, of functions and coefficients below the largest vector.
-    np.testing.assert_allclose(transfer_vectors(file, sp.real_sh, rotate_to), ours, atol=100 * 6e-8 * largest)
+        ours = decode(packed, number)
+        assert_exact(cap.members, packed.clusters.members[number], "integers decide which cap a vertex belongs to")
+        assert (cap.axes is None) == (ours.axes is None)
+        multiples = (cap.numbers * cap.scale).astype(np.float32)
+        assert_exact(multiples, ours.values, "products of the same two numbers, rounded once")
+    vectors = packed.reconstruct()
+    theirs = transfer_vectors(file, sp.real_sh, rotate_to).reshape(vectors.shape)
+    # Sums of at most 25 functions after 75 principal axes, of numbers below the largest vector.
+    assert_rounded(theirs.astype(np.float32), vectors, terms=100)
 
 
 def test_reader_shares_no_code():

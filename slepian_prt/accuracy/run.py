@@ -25,7 +25,7 @@ from slepian_prt.accuracy.transport_pilot import (
     pilot_vertices,
 )
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.grouping import Grouping, grouped, surveyed
+from slepian_prt.compression.grouping import Grouping, group_transfer, surveyed
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compressed, streamed
 from slepian_prt.errors import UserError
@@ -210,7 +210,7 @@ def _check(settings: CompressionSettings) -> None:
         raise UserError(
             "--max-error and --max-seconds choose the tolerance; leave out --tolerance, --terms, --truncate"
         )
-    if settings.codes not in ("coded", None):
+    if settings.resolved_coding not in ("coded", None):
         raise UserError("--max-error and --max-seconds choose how coefficients are rounded; leave out --coding")
 
 
@@ -290,7 +290,7 @@ class _Task:
     def _coding(self, look: TransportTrial) -> CodingPilot:
         self._report(f"bases and caps on trial, {look.samples} rays, L = {look.bandlimit}")
         if look.transfer is not None:
-            grouping = grouped(self.settings, look.transfer)
+            grouping = group_transfer(self.settings, look.transfer)
         else:
             if not self._groupings:
                 self._groupings.append(surveyed(self.settings, self.planned))
@@ -331,7 +331,9 @@ class _Task:
                 return None
             room = (chosen.error**2 - transport) / np.maximum(found - transport, 1e-300)
             return (
-                chosen.coded.work.settings.asked * _FINER * float(np.sqrt(np.clip(np.min(room[over > 0.0]), 0.1, 1.0)))
+                chosen.coded.work.settings.resolved_tolerance
+                * _FINER
+                * float(np.sqrt(np.clip(np.min(room[over > 0.0]), 0.1, 1.0)))
             )
 
         return review

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart
-from slepian_prt.compression.grouping import Grouping, grouped
+from slepian_prt.compression.grouping import Grouping, group_transfer
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
@@ -475,7 +475,7 @@ class _Measure:
     def _grouping(self, setting: Setting, transfer: Transfer) -> tuple[Grouping, float]:
         if setting.clusters not in self._groupings:
             begin = time.perf_counter()
-            grouping = grouped(CompressionSettings(clusters=setting.clusters), transfer)
+            grouping = group_transfer(CompressionSettings(clusters=setting.clusters), transfer)
             self._groupings[setting.clusters] = grouping, time.perf_counter() - begin
         return self._groupings[setting.clusters]
 

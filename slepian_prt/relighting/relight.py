@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import Transfer
 
@@ -43,7 +44,7 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
         raise UserError("lighting must be finite; check the map that it was projected from")
     several = lights.reshape(-1, *wanted)
     if isinstance(transfer, CompressedTransfer):
-        radiance = transfer.operator.apply(several)
+        radiance = transfer_operator(transfer).apply(several)
     else:
         radiance = _from_vectors(transfer, several.astype(np.float32))
     if not np.all(transfer.mesh.albedo == 1.0):

@@ -9,6 +9,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.evaluation.spectra import empirical_spectrum, parse_kernel, spectrum
 from slepian_prt.slepian.concentration import cap_basis
 from slepian_prt.slepian.kernels import cosine_lobe
+from tests.numerics import assert_exact
 
 
 @pytest.mark.parametrize(
@@ -31,8 +32,8 @@ def test_transport_weighted_spectrum_explains_the_empirical_one(exponent, bandli
 
 def test_kernels_by_name():
     assert parse_kernel("slepian", 5) is None
-    np.testing.assert_array_equal(parse_kernel("diffuse", 5), cosine_lobe(5))
-    np.testing.assert_array_equal(parse_kernel("phong:64", 5), cosine_lobe(5, 64.0))
+    assert_exact(parse_kernel("diffuse", 5), cosine_lobe(5), because="the same call")
+    assert_exact(parse_kernel("phong:64", 5), cosine_lobe(5, 64.0), because="the same call")
     for bad in ("phong", "phong:", "phong:x", "phong:-1", "phong:nan", "ward"):
         with pytest.raises(UserError, match=r"kernel|exponent"):
             parse_kernel(bad, 5)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-
 from slepian_prt.compression.operator import Factors, TransferOperator, without_the_least
+
 from slepian_prt.compression.stream import compress
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import precompute

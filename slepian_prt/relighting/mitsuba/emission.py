@@ -12,6 +12,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import envmap_rotation, is_envmap, sky_grid
 from slepian_prt.lighting.texel_projection import Projection
+from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.relighting.relight import negative_part
 from slepian_prt.sphere.harmonics import degrees
 
@@ -93,7 +94,7 @@ class Relit:
         if self._seen is not None and _unchanged(self._seen, seen):
             return self._radiance
         light = distant_light(mi, emitter, self._packed.bandlimit, self._turn) * mi.Float(self._damping)
-        operator = self._packed.operator
+        operator = transfer_operator(self._packed)
 
         def apply(coefficients: NDArray) -> NDArray:
             return operator.apply(coefficients.reshape(1, 3, -1))[0]
