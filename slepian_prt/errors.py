@@ -7,15 +7,14 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 
 class UserError(ValueError):
     """Something that the user can mend.
 
     The message is one line that says what is wrong, with the value, and what to do about it. The command line prints
-    it as it stands and exits with status 2.
+    it and exits with status 2. Where it, or another sentence for the user, names a parameter, the parameter stands
+    between backticks, alone or with a value: `max_error`, `effects=direct`. There the command line has its own option,
+    --max-error, --effects direct.
     """
 
 
@@ -55,27 +54,6 @@ def check_integer(value: Any, name: str, smallest: int, largest: int | None = No
     if isinstance(value, bool) or number < smallest or (largest is not None and number > largest):
         raise UserError(f"{name} must be {allowed}, not {value!r}")
     return number
-
-
-def check_directions(directions: ArrayLike, name: str = "directions") -> NDArray[np.float64]:
-    """Return unit vectors, shape (n, 3), from finite non-zero ones; a single (3,) vector becomes (1, 3).
-
-    Raises
-    ------
-    ValueError
-        Wrong shape, or a direction that is zero or not finite (the first one is named).
-    """
-    vectors = np.atleast_2d(np.asarray(directions, dtype=np.float64))
-    if vectors.ndim != 2 or vectors.shape[1] != 3:
-        raise UserError(f"{name} must have shape (n, 3), not {np.shape(directions)}")
-    # Scaled by the largest component first, so that neither 1e-200 nor 1e200 leaves the range when squared.
-    scale = np.abs(vectors).max(axis=1, keepdims=True, initial=0.0)
-    bad = ~(np.isfinite(scale) & (scale > 0.0))[:, 0]
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise UserError(f"{name}[{first}] must be finite and not zero, not {vectors[first].tolist()}")
-    scaled = vectors / scale
-    return scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
 
 
 def _check_real(value: Any, name: str, interval: str, inside: Callable[[float], bool]) -> float:

@@ -160,7 +160,7 @@ def compare(
     UserError, ValueError
     """
     if not environments and Path(scene).suffix.lower() != ".xml":
-        raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
+        raise UserError("no light: name a map with `environment` (only a Mitsuba .xml scene may have its own)")
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
     transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
@@ -176,7 +176,7 @@ def compare(
         transfer = planned.transfer(advance)
     if not environments:
         if transfer.environment is None:
-            raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
+            raise UserError(f"{scene}: the scene has no distant light of its own; name a map with `environment`")
         environments = [transfer.environment]
     made = group_transfer(grouping, transfer)
     clusters = made.clusters

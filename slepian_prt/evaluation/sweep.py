@@ -327,13 +327,13 @@ def sweep(
     """
     axes.check()
     if not environments and Path(scene).suffix.lower() != ".xml":
-        raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
+        raise UserError("no light: name a map with `environment` (only a Mitsuba .xml scene may have its own)")
     settings = list(axes.settings())
     first = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
     with first.opened(scene, on_plan) as planned:
         if not environments:
             if planned.scene.environment is None:
-                raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
+                raise UserError(f"{scene}: the scene has no distant light of its own; name a map with `environment`")
             environments = [planned.scene.environment]
         kept = Journal(journal, planned, environments, noise)
         found = {setting: kept.points[setting] for setting in settings if setting in kept.points}

@@ -71,12 +71,12 @@ class Lights:
             if not 1 <= self.turntable <= LARGEST_TURNTABLE:
                 raise UserError(f"turntable must be between 1 and {LARGEST_TURNTABLE} results, not {self.turntable}")
             if len(self.maps) > 1:
-                raise UserError("turntable turns one map; give one --environment")
+                raise UserError("turntable turns one map; give one `environment`")
         check_names(self.maps)
         if self.window is not None and self.window_width is not None:
             window(self.window, 0, self.window_width)
         elif self.window_width is not None:
-            raise UserError("a width needs a window; give --window hann or lanczos")
+            raise UserError("a width needs a window; give `window=hann` or lanczos")
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def relit_series(packed: CompressedTransfer, lights: Lights, file: str, note: No
     negative = max(negative_part(one) for one in radiance)
     if negative > 0.0:
         most = "at most " if len(radiance) > 1 else ""
-        remedy = "" if lights.window else "; --window damps it"
+        remedy = "" if lights.window else "; `window` damps it"
         note(
             f"{most}{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit"
             f"{remedy})"
@@ -123,7 +123,7 @@ def _lighting(
 ) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     if not lights.maps:
         if packed.lighting is None:
-            raise UserError(f"{file}: the scene has no light of its own; name a map with --environment")
+            raise UserError(f"{file}: the scene has no light of its own; name a map with `environment`")
         return ("scene",), rotate_sh(packed.lighting, about_up(lights.rotate))[None]
     found = []
     for path in lights.maps:

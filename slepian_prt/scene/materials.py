@@ -41,7 +41,7 @@ def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
     notes = []
     if not view and has(flags.GlossyReflection):
         notes.append(
-            f"glossy reflection of shape '{name}' (--view simulates it; the diffuse part counts as Lambertian)"
+            f"glossy reflection of shape '{name}' (`view` simulates it; the diffuse part counts as Lambertian)"
         )
     if has(flags.DeltaReflection):
         notes.append(f"mirror reflection of shape '{name}'")

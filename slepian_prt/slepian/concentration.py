@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import UserError, check_bandlimit, check_directions, check_half_angle, check_integer
+from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer
 from slepian_prt.slepian.kernels import SecondMoment
+from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
 from slepian_prt.sphere.regions import Region

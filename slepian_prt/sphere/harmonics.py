@@ -11,7 +11,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from slepian_prt.errors import check_bandlimit, check_directions
+from slepian_prt.errors import check_bandlimit
+from slepian_prt.sphere.directions import check_directions
 
 # Directions evaluated at a time: all rows of one degree then fit the second-level cache up to L of about 50.
 _CHUNK = 512

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import UserError, check_directions
+from slepian_prt.errors import UserError
+from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import num_coefficients
 
 

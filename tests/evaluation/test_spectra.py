@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from slepian_prt.cli import _run
+from slepian_prt.cli import main
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.spectra import empirical_spectrum, parse_kernel, spectrum
 from slepian_prt.slepian.concentration import cap_basis
@@ -47,7 +47,7 @@ def test_numbers_of_the_design():
 
 def test_command_writes_what_it_prints(tmp_path, capsys):
     arguments = ["spectrum", "--bandlimit", "10", "--half-angle", "30", "--kernel", "phong:128"]
-    assert _run([*arguments, "--json", str(tmp_path / "s.json"), "--plot", str(tmp_path / "s.png")]) == 0
+    assert main([*arguments, "--json", str(tmp_path / "s.json"), "--plot", str(tmp_path / "s.png")]) == 0
     assert "concentrations above 0.01: 19" in capsys.readouterr().out
     content = json.loads((tmp_path / "s.json").read_text())
     assert content["count"] == 19
@@ -59,7 +59,7 @@ def test_command_writes_what_it_prints(tmp_path, capsys):
 @pytest.mark.parametrize("angle", ["0", "180"])
 def test_limits_have_a_spectrum_and_a_plot(angle, tmp_path):
     arguments = ["spectrum", "--bandlimit", "4", "--half-angle", angle, "--plot", str(tmp_path / "s.png")]
-    assert _run(arguments) == 0
+    assert main(arguments) == 0
     assert (tmp_path / "s.png").exists()
 
 
@@ -78,7 +78,7 @@ def test_limits_have_a_spectrum_and_a_plot(angle, tmp_path):
     ],
 )
 def test_mistakes(arguments, message, capsys):
-    assert _run(["spectrum", *arguments]) == 2
+    assert main(["spectrum", *arguments]) == 2
     error = capsys.readouterr().err.strip()
     assert message in error
     assert "\n" not in error

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from slepian_prt.cli import _run
+from slepian_prt.cli import main
 from slepian_prt.renderer.variants import bitmap_module
 from tests.conftest import bumpy
 
@@ -43,7 +43,7 @@ SMALL = ["--bandlimit", "4", "--samples", "64", "--clusters", "8"]
 
 
 def run(arguments) -> int:
-    return _run([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def test_precompute_reports(folder, capsys):
@@ -197,7 +197,7 @@ def test_a_fault_of_ours_is_one_line_and_status_one(folder, capsys, monkeypatch)
 
 
 def test_help_needs_no_renderer():
-    code = "import sys; from slepian_prt.cli import _run; _run(['--help']); print('mitsuba' in sys.modules)"
+    code = "import sys; from slepian_prt.cli import main; main(['--help']); print('mitsuba' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "precompute" in out
     assert out.strip().endswith("False")
