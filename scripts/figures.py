@@ -21,7 +21,8 @@ from slepian_prt.evaluation.report import ladder_plot
 from slepian_prt.evaluation.sweep import Axes, sweep
 from slepian_prt.evaluation.sweep_report import fronts
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.relighting.pictures import exposure, to_srgb, trace_camera
+from slepian_prt.relighting.camera import trace_camera
+from slepian_prt.relighting.pictures import exposure, to_srgb
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.transport.transfer import TransportSettings
 

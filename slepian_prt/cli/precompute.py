@@ -136,10 +136,9 @@ def _precompute(scene: str, output: str, settings: CompressionSettings, transpor
         note(f"`bounces={transport.bounces}` has no effect: no light between surfaces is simulated (see the plan)")
     packed.save(output)
     error = settings.expected_error(packed.expected)
-    if not settings.by_number and error > 1.01 * settings.resolved_tolerance:
-        note(
-            f"a tolerance of {settings.resolved_tolerance:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}"
-        )
+    wanted = settings.resolved_tolerance
+    if not settings.by_number and error > 1.01 * wanted:
+        note(f"a tolerance of {wanted:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}")
     under = f" under light of {packed.prior}" if packed.prior else ""
     click.echo(
         f"{output}: {describe(packed)}, predicted error {error:.2g}{under}; {packed.rays_traced} rays in "

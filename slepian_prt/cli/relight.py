@@ -58,14 +58,13 @@ def relight(
     Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
     """
     from slepian_prt.compression.prt_file import load
-    from slepian_prt.relighting.outputs import check_output
-    from slepian_prt.relighting.series import Lights, relit_series, write_relit
+    from slepian_prt.relighting.outputs import check_output, write_relit
+    from slepian_prt.relighting.series import Lights, relight_series
 
     lights = Lights(environment, rotate, turntable, window, window_width, clamp_negative)
-    lights.check()
     check_output(output, file, *environment, several=lights.several)
     packed = load(file)
-    series = relit_series(packed, lights, file, note)
+    series = relight_series(packed, lights, file, note)
     write_relit(output, packed, series, f".{kind}", width, note)
     shone = ", ".join(Path(path).name for path in environment) or "the light of the scene"
     several = f", {len(series.names)} results" if lights.several else ""

@@ -23,8 +23,9 @@ from slepian_prt.evaluation.metrics import relative_rms, seam
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
-from slepian_prt.relighting.pictures import Camera, Picture, trace_camera
-from slepian_prt.relighting.relight import negative_part, relight
+from slepian_prt.relighting.camera import Camera, trace_camera
+from slepian_prt.relighting.pictures import Picture
+from slepian_prt.relighting.relight import negative_fraction, relight
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
@@ -213,7 +214,7 @@ def compare(
         tuple(rungs),
         tuple(views),
         shown,
-        {e.name: negative_part(radiance) for e, radiance in zip(environments, full, strict=True)},
+        {e.name: negative_fraction(radiance) for e, radiance in zip(environments, full, strict=True)},
         time.perf_counter() - started,
     )
 

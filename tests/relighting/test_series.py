@@ -13,7 +13,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting import outputs
 from slepian_prt.relighting.relight import relight
-from slepian_prt.relighting.series import Lights, relit_series
+from slepian_prt.relighting.series import Lights, relight_series
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy
 from tests.relighting.mitsuba.test_integrator import sky
@@ -150,7 +150,7 @@ def test_series_that_fail_leave_nothing(folder, tmp_path, monkeypatch):
 
     packed = load(folder / "bumpy.prt")
     lights = Lights((str(folder / "first.exr"),), turntable=3)
-    series = relit_series(packed, lights, "bumpy.prt", lambda _: None)
+    series = relight_series(packed, lights, "bumpy.prt", lambda _: None)
     written = []
 
     def fails(path, *_):

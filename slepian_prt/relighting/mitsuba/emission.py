@@ -13,7 +13,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import envmap_rotation, is_envmap, sky_grid
 from slepian_prt.lighting.texel_projection import Projection
 from slepian_prt.relighting.operator import transfer_operator
-from slepian_prt.relighting.relight import negative_part
+from slepian_prt.relighting.relight import negative_fraction
 from slepian_prt.sphere.harmonics import degrees
 
 # Wavelengths, in nm, that spectra are integrated at.
@@ -67,7 +67,7 @@ class Relit:
     Attributes
     ----------
     negative : float
-        Part of the vertices that were negative under the last light, by `negative_part`.
+        Part of the vertices that were negative under the last light, by `negative_fraction`.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Relit:
         radiance = linear(apply, transpose, light, mi.Float)
         if not dr.grad_enabled(radiance):
             self._seen, self._radiance = seen, radiance
-            self.negative = negative_part(np.array(radiance).reshape(-1, 3))
+            self.negative = negative_fraction(np.array(radiance).reshape(-1, 3))
         return radiance
 
 
