@@ -12,11 +12,38 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class UserError(ValueError):
-    """Something that the user can mend.
+    """Something that the user can put right.
 
     The message is one line that says what is wrong, with the value, and what to do about it. The command line prints
     it as it stands and exits with status 2.
     """
+
+
+def check_integer(value: Any, name: str, smallest: int, largest: int | None = None) -> int:
+    """Return ``value`` as an int.
+
+    Parameters
+    ----------
+    value : int or NumPy integer
+    name : str
+        Of the parameter, for the message.
+    smallest, largest : int
+        Both allowed; without ``largest`` there is no upper bound, and ``smallest`` is 0 or 1.
+
+    Raises
+    ------
+    UserError
+        Not an integer (a bool is none), or outside of these bounds.
+    """
+    try:
+        number = smallest - 1 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = smallest - 1
+    if number < smallest or (largest is not None and number > largest):
+        unbounded = "a positive integer" if smallest == 1 else "a non-negative integer"
+        wanted = unbounded if largest is None else f"an integer in [{smallest}, {largest}]"
+        raise UserError(f"{name} must be {wanted}, not {value!r}")
+    return number
 
 
 def check_bandlimit(bandlimit: Any, name: str = "bandlimit", largest: int = 1000) -> int:
@@ -28,13 +55,7 @@ def check_bandlimit(bandlimit: Any, name: str = "bandlimit", largest: int = 1000
         Not an integer, negative, or above ``largest`` (from about 1400 on the recurrence of the associated Legendre
         functions leaves the range of float64).
     """
-    try:
-        value = operator.index(bandlimit)
-    except TypeError:
-        raise UserError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}") from None
-    if isinstance(bandlimit, bool) or not 0 <= value <= largest:
-        raise UserError(f"{name} must be an integer in [0, {largest}], not {bandlimit!r}")
-    return value
+    return check_integer(bandlimit, name, 0, largest)
 
 
 def check_half_angle(half_angle: Any, name: str = "half_angle") -> float:
@@ -49,13 +70,7 @@ def check_epsilon(epsilon: Any, name: str = "epsilon") -> float:
 
 def check_terms(terms: Any, largest: int, name: str = "terms") -> int:
     """Return ``terms`` as an int; raise ValueError unless 1 <= terms <= largest."""
-    try:
-        value = operator.index(terms)
-    except TypeError:
-        raise UserError(f"{name} must be an integer in [1, {largest}], not {terms!r}") from None
-    if isinstance(terms, bool) or not 1 <= value <= largest:
-        raise UserError(f"{name} must be an integer in [1, {largest}], not {terms!r}")
-    return value
+    return check_integer(terms, name, 1, largest)
 
 
 def check_directions(directions: ArrayLike, name: str = "directions") -> NDArray[np.float64]:
