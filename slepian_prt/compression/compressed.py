@@ -27,7 +27,7 @@ from slepian_prt.lighting.spectrum import falling_prior, light_power
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Part
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.slepian.concentration import cap_basis, scatter_radial
 from slepian_prt.sphere.caps import Cap
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
