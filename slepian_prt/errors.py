@@ -9,13 +9,40 @@ from typing import Any
 
 
 class UserError(ValueError):
-    """Something that the user can mend.
+    """Something that the user can put right.
 
     The message is one line that says what is wrong, with the value, and what to do about it. The command line prints
     it and exits with status 2. Where it, or another sentence for the user, names a parameter, the parameter stands
     between backticks, alone or with a value: `max_error`, `effects=direct`. There the command line has its own option,
     --max-error, --effects direct.
     """
+
+
+def check_integer(value: Any, name: str, smallest: int, largest: int | None = None) -> int:
+    """Return ``value`` as an int.
+
+    Parameters
+    ----------
+    value : int or NumPy integer
+    name : str
+        Of the parameter, for the message.
+    smallest, largest : int
+        Both allowed; without ``largest`` there is no upper bound, and ``smallest`` is 0 or 1.
+
+    Raises
+    ------
+    UserError
+        Not an integer (a bool is none), or outside of these bounds.
+    """
+    try:
+        number = smallest - 1 if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        number = smallest - 1
+    if number < smallest or (largest is not None and number > largest):
+        unbounded = "a positive integer" if smallest == 1 else "a non-negative integer"
+        wanted = unbounded if largest is None else f"an integer in [{smallest}, {largest}]"
+        raise UserError(f"{name} must be {wanted}, not {value!r}")
+    return number
 
 
 def check_bandlimit(bandlimit: Any, name: str = "bandlimit", largest: int = 1000) -> int:
@@ -38,22 +65,6 @@ def check_half_angle(half_angle: Any, name: str = "half_angle") -> float:
 def check_epsilon(epsilon: Any, name: str = "epsilon") -> float:
     """Return ``epsilon`` as a float; raise ValueError unless it lies in the open interval (0, 1)."""
     return _check_real(epsilon, name, "(0, 1)", lambda x: 0.0 < x < 1.0)
-
-
-def check_integer(value: Any, name: str, smallest: int, largest: int | None = None) -> int:
-    """Return ``value`` as an int; raise UserError unless it is an integer from ``smallest`` to ``largest``."""
-    allowed = f"an integer in [{smallest}, {largest}]"
-    if largest is None:
-        allowed = {0: "a non-negative integer", 1: "a positive integer"}.get(
-            smallest, f"an integer of at least {smallest}"
-        )
-    try:
-        number = operator.index(value)
-    except TypeError:
-        raise UserError(f"{name} must be {allowed}, not {value!r}") from None
-    if isinstance(value, bool) or number < smallest or (largest is not None and number > largest):
-        raise UserError(f"{name} must be {allowed}, not {value!r}")
-    return number
 
 
 def _check_real(value: Any, name: str, interval: str, inside: Callable[[float], bool]) -> float:

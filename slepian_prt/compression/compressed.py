@@ -17,7 +17,7 @@ from slepian_prt.compression.prediction import Expectation
 from slepian_prt.lighting.spectrum import falling_prior, light_power
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.transport.effects import Effect
 
 

@@ -25,7 +25,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Part
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.sphere.caps import Cap
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect

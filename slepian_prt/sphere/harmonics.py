@@ -6,6 +6,7 @@ Index ``l*l + l + m``; m > 0 goes with cos(mφ), m < 0 with sin(|m|φ); z is the
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -21,6 +22,11 @@ _CHUNK = 512
 def num_coefficients(bandlimit: int) -> int:
     """M = (L+1)², the dimension of the space of functions of bandlimit L."""
     return (bandlimit + 1) ** 2
+
+
+def bandlimit_of(size: int) -> int:
+    """L of functions with (L+1)² coefficients, the inverse of `num_coefficients`; rounded down if there is none."""
+    return math.isqrt(size) - 1
 
 
 def degrees(bandlimit: int) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.scene import Scene
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.interreflection import GATHER_SHARE, gather_operator

@@ -17,7 +17,7 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part, Scene
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.transport.effects import SIMULATED, Effect, Plan, Survey, check_effects
 from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interior import borrow

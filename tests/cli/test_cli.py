@@ -124,7 +124,7 @@ BAD = {
     "square map": (["relight", "{}/ball.prt", "--environment", "{}/square.exr", "-o", "{}/x.png"], "twice as wide"),
     "negative map": (
         ["relight", "{}/ball.prt", "--environment", "{}/negative.exr", "-o", "{}/x.png"],
-        "--clamp-negative",
+        "clamp_negative",
     ),
     "mesh as map": (["relight", "{}/ball.prt", "--environment", "{}/ball.ply", "-o", "{}/x.png"], "cannot be read"),
     "unknown output": (["relight", "{}/ball.prt", "--environment", "{}/map.exr", "-o", "{}/x.gif"], "unknown kind"),
