@@ -38,6 +38,6 @@ class Goal:
         if self.error is None and self.seconds is None:
             raise UserError("a goal needs a largest error or a largest time")
         if self.error is not None and not SMALLEST_ERROR <= self.error < 1.0:
-            raise UserError(f"--max-error must be a number from {SMALLEST_ERROR:g} to below 1, not {self.error:g}")
+            raise UserError(f"max_error must be a number from {SMALLEST_ERROR:g} to below 1, not {self.error:g}")
         if self.seconds is not None and not (math.isfinite(self.seconds) and self.seconds > 0.0):
-            raise UserError(f"--max-seconds must be a positive number, not {self.seconds:g}")
+            raise UserError(f"max_seconds must be a positive number, not {self.seconds:g}")

@@ -25,7 +25,7 @@ from slepian_prt.accuracy.transport_pilot import (
     pilot_vertices,
 )
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.grouping import Grouping, grouped, surveyed
+from slepian_prt.compression.grouping import Grouping, group_transfer, surveyed
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compressed, streamed
 from slepian_prt.errors import UserError
@@ -171,7 +171,7 @@ def precompute_within(
     with transport.opened(scene) as planned:
         if not light.environments and not light.spectrum:
             if planned.scene.environment is None:
-                raise UserError("no light to measure errors under: name a map with --environment, or a --light-prior")
+                raise UserError("no light to measure errors under: name a map with `environment`, or a `light_prior`")
             light = replace(light, environments=(planned.scene.environment,))
         task = _Task(planned, goal, light, settings, report)
         tightened = 1.0
@@ -203,15 +203,15 @@ def _check(settings: CompressionSettings) -> None:
     """Raise UserError if a goal leaves no room for these."""
     if settings.needs_all_vectors or settings.basis in ("slepian", "direct", "none"):
         raise UserError(
-            f"--max-error and --max-seconds choose a tolerance, which basis {settings.basis} cannot promise; use "
+            f"`max_error` and `max_seconds` choose a tolerance, which basis {settings.basis} cannot promise; use "
             "adapted, transport, incident or sh"
         )
     if settings.by_number or settings.tolerance is not None:
         raise UserError(
-            "--max-error and --max-seconds choose the tolerance; leave out --tolerance, --terms, --truncate"
+            "`max_error` and `max_seconds` choose the tolerance; leave out `tolerance`, `terms`, `truncate`"
         )
-    if settings.codes not in ("coded", None):
-        raise UserError("--max-error and --max-seconds choose how coefficients are rounded; leave out --coding")
+    if settings.resolved_coding not in ("coded", None):
+        raise UserError("`max_error` and `max_seconds` choose how coefficients are rounded; leave out `coding`")
 
 
 class _Task:
@@ -262,7 +262,7 @@ class _Task:
         if self.light.environments:
             return MapMetric.of(self.planned, self.light.environments, vertices, noise)
         if not self.planned.by_blocks:
-            raise UserError("a goal for light of a spectrum needs direct light only; name maps with --environment")
+            raise UserError("a goal for light of a spectrum needs direct light only; name maps with `environment`")
         bandlimit = _SPECTRUM_BANDLIMIT if self.light.maps else _FALLING_BANDLIMIT
         transport = replace(self.planned.settings, samples=_SPECTRUM_SAMPLES, bandlimit=bandlimit)
         first, second = (
@@ -290,7 +290,7 @@ class _Task:
     def _coding(self, look: TransportTrial) -> CodingPilot:
         self._report(f"bases and caps on trial, {look.samples} rays, L = {look.bandlimit}")
         if look.transfer is not None:
-            grouping = grouped(self.settings, look.transfer)
+            grouping = group_transfer(self.settings, look.transfer)
         else:
             if not self._groupings:
                 self._groupings.append(surveyed(self.settings, self.planned))
@@ -331,7 +331,9 @@ class _Task:
                 return None
             room = (chosen.error**2 - transport) / np.maximum(found - transport, 1e-300)
             return (
-                chosen.coded.work.settings.asked * _FINER * float(np.sqrt(np.clip(np.min(room[over > 0.0]), 0.1, 1.0)))
+                chosen.coded.work.settings.resolved_tolerance
+                * _FINER
+                * float(np.sqrt(np.clip(np.min(room[over > 0.0]), 0.1, 1.0)))
             )
 
         return review

@@ -211,7 +211,7 @@ class Chooser:
         return UserError(
             f"an error of {wanted:g} cannot be met under {transport.yardstick.names[worst]}: {limit} "
             f"{claimed:.2g} ± {spread:.1g} before compression, which is the least that can be had; ask for "
-            f"--max-error {offer:g} or more, or for smoother light"
+            f"`max_error={offer:g}` or more, or for smoother light"
         )
 
     # --- A wanted time -----------------------------------------------------------------------------------------------
@@ -222,7 +222,7 @@ class Chooser:
         if keep <= self.spent:
             raise UserError(
                 f"{seconds:g} seconds cannot be kept: loading, planning and the pilot took {self.spent:.1f}; ask for "
-                f"--max-seconds {math.ceil(2.0 * self.spent)} or more"
+                f"`max_seconds={math.ceil(2.0 * self.spent)}` or more"
             )
         transport.explore(0.0, 0.0, _FOR_LOOKING * (keep - self.spent))
         fitting: list[Choice] = []
@@ -251,7 +251,7 @@ class Chooser:
             least = min(choice.seconds for choice in self.choices)
             raise UserError(
                 f"{seconds:g} seconds cannot be kept: the pilot took {self.spent:.1f}, and the fastest that was found "
-                f"would take {least:.1f} more; ask for --max-seconds {math.ceil(1.5 * (self.spent + least))}"
+                f"would take {least:.1f} more; ask for `max_seconds={math.ceil(1.5 * (self.spent + least))}`"
             )
         return min(fitting, key=lambda choice: choice.worst)
 

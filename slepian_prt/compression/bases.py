@@ -160,14 +160,14 @@ class Frame(NamedTuple):
         Of the smallest cap that holds its axes.
     spread : float
         Of the cap that, evenly filled, has axes as far from its centre on average.
-    kind : int
+    occlusion_class : int
         Which second moment is its own.
     """
 
     center: NDArray[np.float64]
     half_angle: float
     spread: float
-    kind: int
+    occlusion_class: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +180,7 @@ class Problem:
     frames : tuple of Frame
         One per cap.
     pilot : Pilot
-        Transfer of a few hundred vertices, for each kind of cluster.
+        Transfer of a few hundred vertices, for each occlusion class.
     weights : (L+1,) or None
         Of a light prior.
     """
@@ -203,37 +203,37 @@ class Problem:
         weighted = kernel * self.scale
         return self._once(("zonal", half_angle), lambda: cap_basis(self.bandlimit, half_angle, kernel=weighted))
 
-    def adapted(self, kind: int, half_angle: float) -> CapBasis:
+    def adapted(self, occlusion_class: int, half_angle: float) -> CapBasis:
         """Functions of a cap about z from the pilot's second moment, under the light prior."""
 
         def solve() -> CapBasis:
-            return moment_basis(self.bandlimit, half_angle, self.moment_factors(kind, half_angle))
+            return moment_basis(self.bandlimit, half_angle, self.moment_factors(occlusion_class, half_angle))
 
-        return self._once(("adapted", kind, half_angle), solve)
+        return self._once(("adapted", occlusion_class, half_angle), solve)
 
-    def moment_factors(self, kind: int, half_angle: float) -> list[NDArray[np.float64]]:
+    def moment_factors(self, occlusion_class: int, half_angle: float) -> list[NDArray[np.float64]]:
         """Factors of the pilot's weighted second moment over a cap of that half-angle."""
 
         def solve() -> list[NDArray[np.float64]]:
-            factors = cap_moment_factors(self.bandlimit, half_angle, self.pilot.moments[kind])
+            factors = cap_moment_factors(self.bandlimit, half_angle, self.pilot.moments[occlusion_class])
             return [factor * self.scale[m:] for m, factor in enumerate(factors)]
 
-        return self._once(("moment", kind, half_angle), solve)
+        return self._once(("moment", occlusion_class, half_angle), solve)
 
-    def moment_rows(self, kind: int, half_angle: float) -> NDArray[np.float64]:
+    def moment_rows(self, occlusion_class: int, half_angle: float) -> NDArray[np.float64]:
         """(r, (L+1)²): the same factors as vectors in the cap's frame, of all orders."""
 
         def solve() -> NDArray[np.float64]:
             l = np.arange(self.bandlimit + 1)
             rows = []
-            for m, factor in enumerate(self.moment_factors(kind, half_angle)):
+            for m, factor in enumerate(self.moment_factors(occlusion_class, half_angle)):
                 for sign in (1,) if m == 0 else (1, -1):
                     block = np.zeros((len(factor), num_coefficients(self.bandlimit)))
                     block[:, l[m:] * (l[m:] + 1) + sign * m] = factor
                     rows.append(block)
             return np.concatenate(rows)
 
-        return self._once(("rows", kind, half_angle), solve)
+        return self._once(("rows", occlusion_class, half_angle), solve)
 
     def exit_radiance(self, half_angle: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Orthonormal radial coefficients and orders that span S D_t g_i, i = 1, 2, …; see `_slepian`."""
@@ -316,7 +316,7 @@ def _transport(problem: Problem, frame: Frame) -> Candidate:
 
 def _adapted(problem: Problem, frame: Frame) -> Candidate:
     """Eigenvectors of the pilot's second moment over the cap: knows about shadows."""
-    functions = problem.adapted(frame.kind, shared_half_angle(frame.spread))
+    functions = problem.adapted(frame.occlusion_class, shared_half_angle(frame.spread))
     return _radial_candidate(problem, frame, "adapted", functions.radial, functions.orders)
 
 
@@ -355,7 +355,7 @@ def _radial_candidate(problem: Problem, frame: Frame, name: str, radial: NDArray
         )
 
     # Caps of one half-angle have the same functions and the same expectations.
-    key = (name, frame.kind, shared_half_angle(frame.half_angle), shared_half_angle(frame.spread))
+    key = (name, frame.occlusion_class, shared_half_angle(frame.half_angle), shared_half_angle(frame.spread))
     in_cap_frame = problem._once(("in frame", *key), lambda: scatter_radial(radial, orders))
     return _predicted(problem, frame, in_cap_frame, cut, key)
 
@@ -371,7 +371,7 @@ def _predicted(
 
     ``key`` tells which caps have the same functions.
     """
-    rows = problem.moment_rows(frame.kind, shared_half_angle(frame.spread))
+    rows = problem.moment_rows(frame.occlusion_class, shared_half_angle(frame.spread))
     scale = problem.scale[degrees(problem.bandlimit)]
 
     def energies() -> NDArray[np.float64]:

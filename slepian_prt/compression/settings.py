@@ -10,7 +10,7 @@ import numpy as np
 from slepian_prt.compression import truncation
 from slepian_prt.compression.bases import ANALYTIC
 from slepian_prt.compression.prediction import Expectation
-from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
+from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_integer
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import LARGEST_BANDLIMIT
@@ -75,12 +75,12 @@ class CompressionSettings:
         return self.basis == "none" or self.terms is not None or self.truncate is not None
 
     @property
-    def codes(self) -> str:
+    def resolved_coding(self) -> str:
         """The coding, default resolved."""
         return self.coding or ("float32" if self.by_number else "coded")
 
     @property
-    def asked(self) -> float:
+    def resolved_tolerance(self) -> float:
         """The tolerance, default resolved."""
         return DEFAULT_TOLERANCE if self.tolerance is None else self.tolerance
 
@@ -105,7 +105,7 @@ class CompressionSettings:
         if self.basis == "none" and given:
             raise UserError(f"basis none keeps all functions; leave out {given[0]}, or choose another basis")
         if self.terms is not None:
-            check_terms(self.terms, num_coefficients(bandlimit))
+            check_integer(self.terms, "terms", 1, num_coefficients(bandlimit))
         if self.truncate is not None and self.truncate not in truncation.TRUNCATIONS:
             raise UserError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {self.truncate!r}")
         if self.truncate is not None and self.needs_all_vectors:
@@ -117,8 +117,8 @@ class CompressionSettings:
             check_epsilon(self.epsilon)
             if self.truncate is None:
                 raise UserError("epsilon says where truncate stops counting; give truncate too, or leave it out")
-        _check_whole(self.clusters, "clusters", LARGEST_CLUSTERS)
-        _check_whole(self.occlusion_classes, "occlusion_classes", LARGEST_CLASSES)
+        check_integer(self.clusters, "clusters", 1, LARGEST_CLUSTERS)
+        check_integer(self.occlusion_classes, "occlusion_classes", 1, LARGEST_CLASSES)
         if self.group_by not in GROUPINGS:
             raise UserError(f"group_by must be one of {', '.join(GROUPINGS)}, not {self.group_by!r}")
         if self.group_by == "bent" and bandlimit < 1:
@@ -127,7 +127,7 @@ class CompressionSettings:
             )
         if self.group_by == "surface" and self.occlusion_classes > 1:
             raise UserError("occlusion_classes divide caps of axes; leave them out, or group by normal or bent")
-        if self.codes not in CODINGS:
+        if self.resolved_coding not in CODINGS:
             raise UserError(f"coding must be one of {', '.join(CODINGS)}, not {self.coding!r}")
         if self.light_prior is not None:
             if not isinstance(self.light_prior, LightPrior):
@@ -140,8 +140,3 @@ class CompressionSettings:
                 )
         if self.refine and (self.needs_all_vectors or self.basis == "none"):
             raise UserError(f"refine has no effect on basis {self.basis}; leave it out")
-
-
-def _check_whole(value: object, name: str, largest: int) -> None:
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= largest:
-        raise UserError(f"{name} must be an integer in [1, {largest}], not {value!r}")

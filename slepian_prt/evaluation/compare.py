@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.grouping import grouped
+from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.errors import UserError, check_terms
+from slepian_prt.errors import UserError, check_integer
 from slepian_prt.evaluation.ladder import Rung, Stage, ladder
 from slepian_prt.evaluation.methods import DEFAULT_METHODS, Entry, check_methods, entries
 from slepian_prt.evaluation.metrics import relative_rms, seam
@@ -161,7 +161,7 @@ def compare(
     UserError, ValueError
     """
     if not environments and Path(scene).suffix.lower() != ".xml":
-        raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
+        raise UserError("no light: name a map with `environment` (only a Mitsuba .xml scene may have its own)")
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
     transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
@@ -169,7 +169,7 @@ def compare(
     bandlimit = int(transport.bandlimit)
     size = num_coefficients(bandlimit)
     for k in terms:
-        check_terms(k, 1 << 20)
+        check_integer(k, "terms", 1, 1 << 20)
     wanted = sorted({k for k in terms if k <= size}) or [size]
     started = time.perf_counter()
     report("transport")
@@ -177,9 +177,9 @@ def compare(
         transfer = planned.transfer(advance)
     if not environments:
         if transfer.environment is None:
-            raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
+            raise UserError(f"{scene}: the scene has no distant light of its own; name a map with `environment`")
         environments = [transfer.environment]
-    made = grouped(grouping, transfer)
+    made = group_transfer(grouping, transfer)
     clusters = made.clusters
     lighting = [project_environment(environment, bandlimit) for environment in environments]
     full = [relight(transfer, light) for light in lighting]

@@ -10,11 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.baselines import haar_transfer, iterate_clusters
+from slepian_prt.compression.baselines import haar_transfer
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping
+from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
 from slepian_prt.compression.settings import BASES
-from slepian_prt.compression.stream import USUAL_TERMS, compress
+from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.spectrum import measured_prior
 from slepian_prt.sphere.harmonics import num_coefficients

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.relighting.pictures import Picture, split_alpha
 from slepian_prt.scene.scene import Scene, mitsuba_scene
-from slepian_prt.scene.sensors import View, sensor
+from slepian_prt.scene.sensors import sensor
+from slepian_prt.scene.view import View
 from slepian_prt.transport.interior import borrow
 
 # The root of x⁵ = x + 1.

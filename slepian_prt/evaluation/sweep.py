@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart
-from slepian_prt.compression.grouping import Grouping, grouped
+from slepian_prt.compression.grouping import Grouping, group_transfer
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
@@ -327,13 +327,13 @@ def sweep(
     """
     axes.check()
     if not environments and Path(scene).suffix.lower() != ".xml":
-        raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
+        raise UserError("no light: name a map with `environment` (only a Mitsuba .xml scene may have its own)")
     settings = list(axes.settings())
     first = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
     with first.opened(scene, on_plan) as planned:
         if not environments:
             if planned.scene.environment is None:
-                raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
+                raise UserError(f"{scene}: the scene has no distant light of its own; name a map with `environment`")
             environments = [planned.scene.environment]
         kept = Journal(journal, planned, environments, noise)
         found = {setting: kept.points[setting] for setting in settings if setting in kept.points}
@@ -475,7 +475,7 @@ class _Measure:
     def _grouping(self, setting: Setting, transfer: Transfer) -> tuple[Grouping, float]:
         if setting.clusters not in self._groupings:
             begin = time.perf_counter()
-            grouping = grouped(CompressionSettings(clusters=setting.clusters), transfer)
+            grouping = group_transfer(CompressionSettings(clusters=setting.clusters), transfer)
             self._groupings[setting.clusters] = grouping, time.perf_counter() - begin
         return self._groupings[setting.clusters]
 

@@ -7,13 +7,11 @@ window falls to zero at, which may be beyond the bandlimit.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.sphere.harmonics import degrees
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 
 WINDOWS = ("hann", "lanczos")
 
@@ -46,5 +44,5 @@ def window(name: str, bandlimit: int, width: float) -> NDArray[np.float64]:
 
 def windowed(lighting: NDArray, name: str, width: float) -> NDArray[np.float64]:
     """Lighting (…, (L+1)²) with each degree damped."""
-    bandlimit = math.isqrt(lighting.shape[-1]) - 1
+    bandlimit = bandlimit_of(lighting.shape[-1])
     return np.asarray(lighting * window(name, bandlimit, width)[degrees(bandlimit)])

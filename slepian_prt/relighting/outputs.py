@@ -216,7 +216,7 @@ def check_output(output: str, *inputs: str, several: bool) -> None:
         raise UserError(f"{output}: is one file for several results; name a folder, or one .npz or .mp4")
     if suffix == FILM:
         if not several:
-            raise UserError(f"{output}: a film needs several lights; give a turntable or several maps")
+            raise UserError(f"{output}: a film needs several lights; give `turntable` or several maps")
         film_encoder()
     elif suffix not in SUFFIXES:
         if not several:

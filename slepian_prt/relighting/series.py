@@ -58,12 +58,12 @@ class Lights:
             if not 1 <= self.turntable <= LARGEST_TURNTABLE:
                 raise UserError(f"turntable must be between 1 and {LARGEST_TURNTABLE} results, not {self.turntable}")
             if len(self.maps) > 1:
-                raise UserError(f"turntable turns one map; give one environment, not {len(self.maps)}")
+                raise UserError(f"turntable turns one map; give one `environment`, not {len(self.maps)}")
         check_names(self.maps)
         if self.window is not None and self.window_width is not None:
             window(self.window, 0, self.window_width)
         elif self.window_width is not None:
-            raise UserError("a width needs a window; name one, hann or lanczos")
+            raise UserError("a width needs a window; give `window=hann` or lanczos")
 
     @property
     def several(self) -> bool:
@@ -115,7 +115,7 @@ def relight_series(
     negative = max(negative_fraction(one) for one in radiance)
     if negative > 0.0:
         most = "at most " if len(radiance) > 1 else ""
-        remedy = "" if lights.window else "; a window damps it"
+        remedy = "" if lights.window else "; `window` damps it"
         report(
             f"{most}{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit"
             f"{remedy})"
@@ -129,7 +129,7 @@ def _project_lights(
     """Names, and lighting (B, 3, (L+1)²)."""
     if not lights.maps:
         if packed.lighting is None:
-            raise UserError(f"{file}: the scene has no light of its own; name an environment map")
+            raise UserError(f"{file}: the scene has no light of its own; name a map with `environment`")
         return ("scene",), rotate_sh(packed.lighting, about_up(lights.rotate))[None]
     projected = []
     for path in lights.maps:

@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Receiver:
+class ReceivingShape:
     """A shape that light is computed on.
 
     Attributes
@@ -48,7 +48,7 @@ def fewest_cuts(shapes: int) -> int:
     return max(12, min(_FEWEST_CUTS, round(_FEWEST_CUTS * math.sqrt(_MANY_SHAPES / max(shapes, 1)))))
 
 
-def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewest: int) -> Receiver | None:
+def receiving_shape(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewest: int) -> ReceivingShape | None:
     """The shape with vertices, or None for what cannot be given any (curves, implicit surfaces, instances).
 
     Parameters
@@ -81,16 +81,16 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewes
                 origin,
                 len(positions),
             )
-    own = kind in _PARAMETRIC or kind == "Cube"
-    if own and normals is not None:
+    replaced = kind in _PARAMETRIC or kind == "Cube"
+    if replaced and normals is not None:
         faces = _along_normals(positions, normals, faces)  # a mirroring to_world turns them
-    if _turned(mi, shape, positions, normals, faces):
-        # Mitsuba flips the normals of what it meets, not those that it keeps at the vertices.
-        normals, faces, own = None if normals is None else -normals, faces[:, ::-1].copy(), True
+    if _is_flipped(mi, shape, positions, normals, faces):
+        # Mitsuba flips the normals of surface hits, not those that it keeps at the vertices.
+        normals, faces, replaced = None if normals is None else -normals, faces[:, ::-1].copy(), True
     mesh = make_mesh(positions, faces, normals=normals, name=name, origin=origin)
-    traced = _mesh(mi, shape.bsdf(), name, positions, mesh.normals, faces, uv) if own else shape
+    traced = _mesh(mi, shape.bsdf(), name, positions, mesh.normals, faces, uv) if replaced else shape
     albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
-    return Receiver(traced, Mesh(name, mesh.positions, mesh.normals, mesh.faces, albedo, mesh.notes), faces)
+    return ReceivingShape(traced, Mesh(name, mesh.positions, mesh.normals, mesh.faces, albedo, mesh.notes), faces)
 
 
 def mitsuba_mesh(mi: Any, mesh: Mesh) -> Any:
@@ -156,8 +156,8 @@ def _along_normals(positions: NDArray, normals: NDArray, faces: NDArray) -> NDAr
     return np.where(against[:, None], faces[:, ::-1], faces)
 
 
-def _turned(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, faces: NDArray) -> bool:
-    """Whether rays meet the shape's surface with the normal opposite to that of the faces or vertices given."""
+def _is_flipped(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, faces: NDArray) -> bool:
+    """Whether Mitsuba's normal at a surface hit is opposite to that of the faces or vertices given."""
     corner = positions[faces]
     turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     largest = int(np.argmax(np.einsum("ij,ij->i", turned, turned)))
@@ -167,8 +167,8 @@ def _turned(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, fa
     size = float(np.linalg.norm(np.ptp(corner[largest], axis=0)))
     start = corner[largest].mean(axis=0) + size * towards
     ray = mi.Ray3f(mi.Point3f(start.tolist()), mi.Vector3f((-towards).tolist()))
-    met = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
-    return float(np.array(met.n).ravel() @ towards) < 0.0
+    hit = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
+    return float(np.array(hit.n).ravel() @ towards) < 0.0
 
 
 def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
@@ -219,7 +219,7 @@ def _parametric(
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     linear, offset = matrix[:3, :3], matrix[:3, 3]
     if not np.all(np.isfinite(matrix)) or abs(np.linalg.det(linear)) <= 1e-12 * np.abs(linear).max() ** 3:
-        raise UserError(f"{origin}: its to_world flattens it to nothing; mend the transform")
+        raise UserError(f"{origin}: its to_world flattens it to nothing; correct the transform")
 
     def evaluate(uv: NDArray) -> tuple[NDArray, NDArray]:
         positions, normals = _PARAMETRIC[kind](uv[:, 0], uv[:, 1])

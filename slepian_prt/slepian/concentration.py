@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import UserError, check_bandlimit, check_directions, check_half_angle, check_terms
+from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer
 from slepian_prt.slepian.kernels import SecondMoment
+from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
 from slepian_prt.sphere.regions import Region
@@ -153,7 +154,7 @@ def cap_basis(
         raise UserError(f"threshold must be >= 0, not {threshold!r}")
     last_order = 0 if radially_symmetric else bandlimit
     if terms is not None:
-        terms = check_terms(terms, bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit))
+        terms = check_integer(terms, "terms", 1, bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit))
     if kernel is None:
         blocks, values, leakages = _plain_blocks(bandlimit, half_angle, last_order, threshold)
         return _merge(bandlimit, half_angle, axis, blocks, values, leakages, terms, threshold)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import eval_legendre
 
 from slepian_prt.errors import UserError, check_bandlimit
-from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
 from slepian_prt.summary import summary_line
 
@@ -121,7 +121,7 @@ def measured_moment(local_vectors: ArrayLike) -> SecondMoment:
         No vector, or a second axis that is not a square number.
     """
     x = np.asarray(local_vectors, dtype=np.float64)
-    bandlimit = math.isqrt(x.shape[-1]) - 1 if x.ndim == 2 else -1
+    bandlimit = bandlimit_of(x.shape[-1]) if x.ndim == 2 else -1
     if x.ndim != 2 or x.shape[0] == 0 or num_coefficients(bandlimit) != x.shape[1]:
         raise UserError(f"local_vectors must have shape (n, (L+1)^2) with n >= 1, not {x.shape}")
     l = np.arange(bandlimit + 1)

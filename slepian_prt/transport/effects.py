@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.scene import Scene
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.interreflection import GATHER_SHARE, gather_operator
@@ -111,7 +111,7 @@ def check_effects(effects: str) -> None:
             )
     for name, needed in (("interreflection", "shadows"), ("colour", "interreflection")):
         if name in named and needed not in named:
-            raise UserError(f"effects: {name} needs {needed}; add it, as in --effects {needed},{','.join(named)}")
+            raise UserError(f"effects: {name} needs {needed}; add it, as in `effects={needed},{','.join(named)}`")
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,14 +290,14 @@ def _interreflection(
             NOT_SIMULATED, "transfer toward a camera holds direct light only; the contribution is a bound"
         )
     if forced is not None and "interreflection" not in forced:
-        return False, row(OMITTED, f"not asked for (--effects {effects})")
+        return False, row(OMITTED, f"not asked for (`effects={effects}`)")
     if forced is not None:
         return True, row(SIMULATED, "asked for")
     if most == 0.0:
         reason = "no blocked direction sees a surface that reflects"
         return False, Effect("interreflection", OMITTED, 0.0, 0.0, 0, reason)
     if not scene.has_materials:
-        reason = "a mesh file says nothing about its albedo; --albedo sets it (this bound is for an albedo of 1)"
+        reason = "a mesh file says nothing about its albedo; `albedo` sets it (this bound is for an albedo of 1)"
         return False, row(OMITTED, reason)
     if bound + half_width < TOLERANCE:
         return False, row(OMITTED, f"at most {bound + half_width:.1%} of the light")
@@ -318,7 +318,7 @@ def _colour(
     if forced is not None and "colour" in forced:
         return 3, row(SIMULATED, "asked for: three channels")
     if forced is not None:
-        return 1, row(OMITTED, f"not asked for (--effects {effects}); their mean stands for all")
+        return 1, row(OMITTED, f"not asked for (`effects={effects}`); their mean stands for all")
     gray = bool(np.ptp(scene.mesh.albedo, axis=1).max(initial=0.0) == 0.0)
     if gray or tint.mean + tint.half_width < TOLERANCE:
         return 1, row(OMITTED, "surfaces reflect all channels alike onto each other: one channel")

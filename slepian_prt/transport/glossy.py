@@ -20,7 +20,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.scene.materials import surface_points
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_bandlimit
+from slepian_prt.errors import UserError, check_bandlimit, check_integer
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part, Scene
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.summary import summary_line, summary_table
 from slepian_prt.transport.effects import SIMULATED, Effect, Plan, Survey, check_effects
 from slepian_prt.transport.glossy import view_transfer
@@ -187,10 +187,10 @@ class TransportSettings:
 
     def __post_init__(self) -> None:
         check_bandlimit(self.bandlimit, largest=LARGEST_BANDLIMIT)
-        _check_count(self.samples, "samples", 1, LARGEST_SAMPLES)
-        _check_count(self.seed, "seed", 0, None)
+        check_integer(self.samples, "samples", 1, LARGEST_SAMPLES)
+        check_integer(self.seed, "seed", 0)
         if self.bounces is not None:
-            _check_count(self.bounces, "bounces", 0, LARGEST_BOUNCES)
+            check_integer(self.bounces, "bounces", 0, LARGEST_BOUNCES)
         check_effects(self.effects)
 
     @contextmanager
@@ -313,14 +313,6 @@ class PlannedScene:
         borrowed.fill(vectors)
         self.clock.stop("interreflection")
         return vectors, int(bounces), rays + gather.rays
-
-
-def _check_count(value: object, name: str, smallest: int, largest: int | None) -> None:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    good = whole and smallest <= value and (largest is None or value <= largest)  # type: ignore[operator]
-    if not good:
-        allowed = "a non-negative integer" if largest is None else f"an integer in [{smallest}, {largest}]"
-        raise UserError(f"{name} must be {allowed}, not {value!r}")
 
 
 def _remark_on_closed(path: str, effects: tuple[Effect, ...]) -> None:

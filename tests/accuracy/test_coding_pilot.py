@@ -7,7 +7,7 @@ from slepian_prt.accuracy.coding_pilot import CodingPilot
 from slepian_prt.accuracy.error_metric import MapMetric
 from slepian_prt.accuracy.transport_pilot import SAMPLES, TransportPilot, pilot_vertices
 from slepian_prt.compression.encoder import Encoder
-from slepian_prt.compression.grouping import grouped
+from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
@@ -30,7 +30,7 @@ def shadowed():
 def test_errors_of_coefficients_under_a_light(shadowed, rng):
     """Mean squares of radiance, cap by cap as each stands, from products of the coefficients' errors."""
     settings = CompressionSettings(tolerance=0.05, clusters=12)
-    work = Encoder(settings, shadowed.mesh, grouped(settings, shadowed), 6, 0)
+    work = Encoder(settings, shadowed.mesh, group_transfer(settings, shadowed), 6, 0)
     work.learn(lambda vertices: shadowed.vectors[vertices])
     light = project_environment(SKY, 6)
     off = rng.normal(size=(500, work.bases[0].count)) @ np.diag(rng.random(work.bases[0].count))
@@ -52,7 +52,7 @@ def test_a_trial_foresees_what_coding_adds(part):
         look = TransportPilot(planned, yardstick, timed, SAMPLES, (8,), lambda _: None).look(256, 8)
         transfer = planned.asked(TransportSettings(8, 256)).transfer()
         prior = measured_prior([project_environment(SKY, 8)], 8, "sky")
-        grouping = grouped(CompressionSettings(clusters=40), transfer)
+        grouping = group_transfer(CompressionSettings(clusters=40), transfer)
         pilot = CodingPilot(planned, look, CompressionSettings(clusters=40), grouping, lambda _: prior, yardstick)
         coded = pilot.within(np.array([part**2]))
         settings = CompressionSettings(tolerance=coded.tolerance, light_prior=prior, clusters=40)
@@ -70,7 +70,7 @@ def test_coding_again_from_the_same_blocks(shadowed):
     from slepian_prt.compression.stream import compressed
 
     settings = CompressionSettings(tolerance=0.1, clusters=12)
-    work = Encoder(settings, shadowed.mesh, grouped(settings, shadowed), 6, 0)
+    work = Encoder(settings, shadowed.mesh, group_transfer(settings, shadowed), 6, 0)
     work.learn(lambda vertices: shadowed.vectors[vertices])
     asked = iter([0.07, None])
     errors = []
@@ -83,5 +83,5 @@ def test_coding_again_from_the_same_blocks(shadowed):
     assert len(errors) == 2
     assert errors[0] <= 0.1 * (1 + 1e-6)
     assert errors[1] <= 0.07 * (1 + 1e-6)
-    alone = ToleranceSweep(shadowed, settings, grouped(settings, shadowed)).compressed(0.07)
+    alone = ToleranceSweep(shadowed, settings, group_transfer(settings, shadowed)).compressed(0.07)
     assert packed.bytes_per_vertex == pytest.approx(alone.bytes_per_vertex, rel=0.05)

@@ -11,7 +11,7 @@ from slepian_prt.accuracy import run
 from slepian_prt.accuracy.goal import Goal
 from slepian_prt.accuracy.run import Light, precompute_within
 from slepian_prt.cli import main
-from slepian_prt.compression.compressed import load
+from slepian_prt.compression.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.metrics import relative_rms

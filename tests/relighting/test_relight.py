@@ -20,6 +20,7 @@ from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.scene.sensors import sensor as scene_sensor
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
+from tests.numerics import assert_exact
 
 
 def constant_light(bandlimit: int, radiance: float = 1.0) -> np.ndarray:
@@ -158,8 +159,8 @@ def test_npz(tmp_path):
     mesh = sphere(1)
     write_radiance(tmp_path / "out.npz", mesh, np.full((42, 3), 0.25))
     with np.load(tmp_path / "out.npz", allow_pickle=False) as content:
-        np.testing.assert_array_equal(content["radiance"], np.full((42, 3), 0.25, dtype=np.float32))
-        np.testing.assert_array_equal(content["positions"], mesh.positions)
+        assert_exact(content["radiance"], np.full((42, 3), 0.25, dtype=np.float32), because="a copy")
+        assert_exact(content["positions"], mesh.positions, because="a copy")
 
 
 def test_coloured_mesh_keeps_the_mesh_and_shades_by_radiance(tmp_path):

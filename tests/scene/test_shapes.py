@@ -197,7 +197,7 @@ def test_constant_and_sky():
 
 
 def test_the_scenes_own_light_is_kept_with_the_transfer(tmp_path):
-    from slepian_prt.compression.compressed import load
+    from slepian_prt.compression.prt_file import load
     from slepian_prt.compression.stream import compress
 
     body = """<emitter type="constant"><rgb name="radiance" value="1, 2, 3"/></emitter>

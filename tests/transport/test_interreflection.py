@@ -1,9 +1,11 @@
 """Light between surfaces against closed forms and Mitsuba's path tracer."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from scipy.stats import t as student_t
 
 from slepian_prt.evaluation.reference import vertex_reference
@@ -12,8 +14,10 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh, make_mesh
+from slepian_prt.transport.interreflection import Gather, bounced
 from slepian_prt.transport.transfer import Transfer, precompute
 from tests.conftest import ROOT, inside_out, sphere
+from tests.numerics import assert_rounded
 
 AMBIENT = math.sqrt(4 * math.pi)
 
@@ -120,16 +124,27 @@ def test_cornell_box_agrees_with_the_path_tracer(cornell):
     assert np.sqrt(np.mean(difference**2)) < 1.2 * np.sqrt(np.mean(noise**2))
 
 
-def test_memory_is_bounded_by_columns():
-    """All bounces of a few columns at a time give the same as one column at a time."""
-    from slepian_prt.transport import interreflection
-
-    bowl = spherical_bowl(0.7, 12)
-    vectors = precompute(bowl, 4, 256, albedo=0.7, bounces=5).vectors
-    columns = interreflection._COLUMNS
+def test_bounces_hold_a_few_columns_at_a_time(monkeypatch, rng):
+    """Beside transfer itself: what is bounced, what it becomes and their sum, of 16 columns, by each thread."""
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    bowl = spherical_bowl(0.7, 24)
+    count, size, seen = len(bowl.positions), 441, 20
+    places = (rng.random((count, seen)) * count).astype(np.int32)
+    weights = csr_array((np.full(count * seen, 0.7 / seen, np.float32), places.ravel(), seen * np.arange(count + 1)),
+                        shape=(count, count))  # fmt: skip
+    gather = Gather(np.arange(count), weights, 0.0, 0.0, 0)
+    direct = rng.random((count, size), dtype=np.float32)
+    light, expected = direct.copy(), direct.astype(np.float64)
+    for _ in range(5):
+        light = weights @ (np.float32(0.7) * light)
+        expected += light
+    tracemalloc.start()
     try:
-        interreflection._COLUMNS = 1
-        again = precompute(bowl, 4, 256, albedo=0.7, bounces=5).vectors
+        total = bounced(gather, bowl.albedo * 0.7, direct, 1, 5)
+        peak = tracemalloc.get_traced_memory()[1]
     finally:
-        interreflection._COLUMNS = columns
-    np.testing.assert_allclose(vectors, again, atol=1e-6)
+        tracemalloc.stop()
+    # Each bounce adds 20 numbers of float32, five bounces follow each other; the series is at most 1 / (1 - 0.49).
+    assert_rounded(total[:, 0], expected.astype(np.float32), terms=5 * 21, size=2.0)
+    assert peak < 6 * 16 * 4 * count + 1e5
+    assert peak < 0.3 * direct.nbytes

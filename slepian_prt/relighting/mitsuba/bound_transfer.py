@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.compressed import CompressedTransfer, load
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.prt_file import load
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces

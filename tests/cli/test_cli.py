@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from slepian_prt.cli import _run
+from slepian_prt.cli import main
 from slepian_prt.renderer.variants import bitmap_module
 from tests.conftest import bumpy
 
@@ -43,7 +43,7 @@ SMALL = ["--bandlimit", "4", "--samples", "64", "--clusters", "8"]
 
 
 def run(arguments) -> int:
-    return _run([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def test_precompute_reports(folder, capsys):
@@ -124,7 +124,7 @@ BAD = {
     "square map": (["relight", "{}/ball.prt", "--environment", "{}/square.exr", "-o", "{}/x.png"], "twice as wide"),
     "negative map": (
         ["relight", "{}/ball.prt", "--environment", "{}/negative.exr", "-o", "{}/x.png"],
-        "--clamp-negative",
+        "clamp_negative",
     ),
     "mesh as map": (["relight", "{}/ball.prt", "--environment", "{}/ball.ply", "-o", "{}/x.png"], "cannot be read"),
     "unknown output": (["relight", "{}/ball.prt", "--environment", "{}/map.exr", "-o", "{}/x.gif"], "unknown kind"),
@@ -189,7 +189,7 @@ def test_a_fault_of_ours_is_one_line_and_status_one(folder, capsys, monkeypatch)
     def fail(*_args, **_kwargs):
         raise RuntimeError("something\nwith lines")
 
-    monkeypatch.setattr("slepian_prt.compression.compressed.load", fail)
+    monkeypatch.setattr("slepian_prt.compression.prt_file.load", fail)
     assert run(["info", folder / "ball.prt"]) == 1
     error = capsys.readouterr().err
     assert len(error.strip().splitlines()) == 1
@@ -197,7 +197,7 @@ def test_a_fault_of_ours_is_one_line_and_status_one(folder, capsys, monkeypatch)
 
 
 def test_help_needs_no_renderer():
-    code = "import sys; from slepian_prt.cli import _run; _run(['--help']); print('mitsuba' in sys.modules)"
+    code = "import sys; from slepian_prt.cli import main; main(['--help']); print('mitsuba' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "precompute" in out
     assert out.strip().endswith("False")

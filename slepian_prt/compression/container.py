@@ -1,4 +1,4 @@
-"""The ``.prt`` file: a zip archive of ``manifest.json`` and one ``.npy`` per array.
+"""The container of ``.prt`` files: a zip archive of ``manifest.json`` and one ``.npy`` per array.
 
 Any zip tool lists it, numpy reads its members, nothing in it is executable, and every member has a checksum. Float
 arrays are stored as they are, so that they can be mapped or read in part; the others are deflated.
