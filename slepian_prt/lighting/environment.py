@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.map_files import Checked, Rows, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import resampled
+from slepian_prt.summary import summary_line, summary_table
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,22 @@ class Environment:
     def rotated(self, degrees: float) -> Environment:
         """Turned counter-clockwise about the world's up axis y."""
         return replace(self, to_world=about_up(degrees) @ self.to_world)
+
+    def __repr__(self) -> str:
+        return summary_line("Environment", self._summary())
+
+    def _repr_html_(self) -> str:
+        return summary_table("Environment", self._summary())
+
+    def _summary(self) -> dict[str, object]:
+        angle = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(self.to_world)) - 1.0) / 2.0))))
+        return {
+            "name": self.name,
+            "texels": f"{self.texels.shape[1]} x {self.texels.shape[0]}",
+            "brightest": float(self.texels.max()),
+            "turned": f"{angle:.4g}°" if angle > 1e-3 else None,
+            "clamped": self.clamped or None,
+        }
 
 
 def about_up(degrees: float) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.receivers import Receivers
+from slepian_prt.summary import summary_line, summary_table
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +59,23 @@ class Mesh:
     def receivers(self) -> Receivers:
         """The vertices; those that no face uses receive no light."""
         return Receivers(self.positions, self.normals, self.albedo, edges(self.faces))
+
+    def __repr__(self) -> str:
+        return summary_line("Mesh", self._summary())
+
+    def _repr_html_(self) -> str:
+        return summary_table("Mesh", self._summary())
+
+    def _summary(self) -> dict[str, object]:
+        low, high = self.albedo.min(axis=0), self.albedo.max(axis=0)
+        return {
+            "name": self.name,
+            "vertices": len(self.positions),
+            "faces": len(self.faces),
+            "size": " x ".join(f"{extent:.3g}" for extent in np.ptp(self.positions, axis=0)),
+            "albedo": "varies" if np.any(low != high) else ", ".join(f"{value:.3g}" for value in dict.fromkeys(low)),
+            "notes": "; ".join(self.notes) or None,
+        }
 
 
 def read_mesh(path: str | Path) -> Mesh:

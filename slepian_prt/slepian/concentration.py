@@ -22,6 +22,7 @@ from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients,
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
 from slepian_prt.sphere.regions import Region
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+from slepian_prt.summary import summary_line, summary_table
 
 # Eigenvalues below this part of the largest are rounding; their eigenvectors are chosen by the second criterion.
 _NULL = 1e-28
@@ -80,6 +81,20 @@ class CapBasis:
     def in_cap_frame(self) -> NDArray[np.float64]:
         """(K, (L+1)²): SH coefficients in the cap's own frame, one row per function."""
         return scatter_radial(self.radial, self.orders)
+
+    def __repr__(self) -> str:
+        return summary_line("CapBasis", self._summary())
+
+    def _repr_html_(self) -> str:
+        return summary_table("CapBasis", self._summary())
+
+    def _summary(self) -> dict[str, object]:
+        return {
+            "bandlimit": self.bandlimit,
+            "half_angle": self.half_angle,
+            "center": ", ".join(f"{value:.3g}" for value in self.center),
+            **_summarise_functions(self.bandlimit, self.eigenvalues),
+        }
 
 
 def scatter_radial(radial: NDArray, orders: NDArray) -> NDArray[np.float64]:
@@ -374,6 +389,21 @@ class RegionBasis:
 
     def __len__(self) -> int:
         return self.eigenvalues.size
+
+    def __repr__(self) -> str:
+        return summary_line("RegionBasis", self._summary())
+
+    def _repr_html_(self) -> str:
+        return summary_table("RegionBasis", self._summary())
+
+    def _summary(self) -> dict[str, object]:
+        return {"bandlimit": self.bandlimit, **_summarise_functions(self.bandlimit, self.eigenvalues)}
+
+
+def _summarise_functions(bandlimit: int, eigenvalues: NDArray[np.float64]) -> dict[str, object]:
+    """How many of all functions a basis has, and the range of their eigenvalues."""
+    span = f"{eigenvalues[0]:.4g} to {eigenvalues[-1]:.2g}" if eigenvalues.size else None
+    return {"functions": f"{eigenvalues.size} of {num_coefficients(bandlimit)}", "eigenvalues": span}
 
 
 def region_basis(bandlimit: int, region: Region, *, threshold: float | None = None) -> RegionBasis:

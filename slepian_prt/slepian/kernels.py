@@ -13,6 +13,7 @@ from scipy.special import eval_legendre
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
+from slepian_prt.summary import summary_line
 
 
 def cosine_lobe(bandlimit: int, exponent: float = 1.0) -> NDArray[np.float64]:
@@ -97,6 +98,9 @@ class SecondMoment:
     def energy(self) -> float:
         """Trace of C₀: the mean squared norm of a transfer vector."""
         return float(sum((1 if m == 0 else 2) * np.sum(g * g) for m, g in enumerate(self.factors)))
+
+    def __repr__(self) -> str:
+        return summary_line("SecondMoment", {"bandlimit": self.bandlimit, "energy": self.energy})
 
 
 def zonal_moment(zonal: ArrayLike) -> SecondMoment:

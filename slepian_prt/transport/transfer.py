@@ -18,6 +18,7 @@ from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.view import View
+from slepian_prt.summary import summary_line, summary_table
 from slepian_prt.transport.effects import SIMULATED, Effect, Plan, Survey, check_effects
 from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interior import borrow
@@ -94,6 +95,27 @@ class Transfer:
     def normals(self) -> NDArray[np.float64]:
         """(V, 3) unit normals, zero at vertices that no face uses."""
         return self.mesh.normals
+
+    def __repr__(self) -> str:
+        return summary_line("Transfer", self._summary())
+
+    def _repr_html_(self) -> str:
+        return summary_table("Transfer", self._summary())
+
+    def _summary(self) -> dict[str, object]:
+        return {
+            "source": self.source or self.mesh.name,
+            "vertices": len(self.vectors),
+            "bandlimit": self.bandlimit,
+            "channels": self.vectors.shape[1],
+            "samples": self.samples,
+            "effects": ", ".join(effect.name for effect in self.effects if effect.verdict == SIMULATED) or "none",
+            "bounces": self.bounces,
+            "rays_traced": self.rays_traced,
+            "seconds": sum(self.seconds.values()),
+            "environment": None if self.environment is None else self.environment.name,
+            "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
+        }
 
 
 def precompute(

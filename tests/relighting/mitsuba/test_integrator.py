@@ -13,7 +13,7 @@ import slepian_prt as sp
 from slepian_prt.lighting.environment import about_up
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.windowing import windowed
-from slepian_prt.relighting.mitsuba.emission import smooth_basis, smooth_spectra
+from slepian_prt.relighting.mitsuba.spectra import smooth_basis, smooth_spectra
 from slepian_prt.relighting.relight import relight
 from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
 from slepian_prt.sphere.harmonics import real_sh
