@@ -239,7 +239,7 @@ def precompute(
     from slepian_prt.accuracy.goal import Goal
     from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.compression.stream import precompute_compressed
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
     started = time.perf_counter()
     transport = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
@@ -486,7 +486,7 @@ def compare(
     from slepian_prt.evaluation.report import write_report
     from slepian_prt.evaluation.sweep import Sweep
     from slepian_prt.files import check_folder
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
     transport = TransportSettings(**_take(options, TransportSettings), albedo=read_albedo(options.pop("albedo")))
     grouping = CompressionSettings(**options)
@@ -572,7 +572,7 @@ def sweep(
     from slepian_prt.evaluation import sweep as sweeping
     from slepian_prt.evaluation.sweep_report import describe, write_sweep
     from slepian_prt.files import check_folder
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
     axes = sweeping.Axes(
         _numbers(int, samples, "samples"),

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from slepian_prt.compression.clustering import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.scene.mesh import Mesh
+from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.directions import SMALLEST_SET
-from slepian_prt.transport.transfer import PlannedScene, Transfer
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.planned import PlannedScene
+from slepian_prt.transport.transfer import Transfer
 
 
 class Grouping(NamedTuple):
@@ -45,10 +46,10 @@ def surveyed(settings: CompressionSettings, planned: PlannedScene) -> Grouping:
     axes, openness = mesh.normals, np.ones(len(mesh.positions), dtype=np.float32)
     if settings.group_by == "bent" or settings.occlusion_classes > 1:
         quick = DirectTransfer(planned.scene, 1, SMALLEST_SET, planned.plan.shadowed, planned.settings.seed)
-        vectors, blocked = quick.of(np.arange(len(mesh.positions)))
-        openness = 1.0 - blocked
+        survey = quick.estimate()
+        openness = 1.0 - survey.blocked
         if settings.group_by == "bent":
-            axes = bent_normals(vectors, axes)
+            axes = bent_normals(survey.vectors[:, 0], axes)
     return _cluster(settings, mesh, axes, openness)
 
 

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slepian_prt.compression.baselines import iterate_clusters, pca_candidates
 from slepian_prt.compression.checkpoint import Block, Journal, MemoryStore, Store, journal
@@ -28,9 +27,11 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.interior import borrow
-from slepian_prt.transport.transfer import PlannedScene, Transfer, TransportSettings
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.estimator import Estimator, TransferBlock
+from slepian_prt.transport.interior import find_interior
+from slepian_prt.transport.planned import PlannedScene, plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 log = logging.getLogger(__name__)
 
@@ -188,19 +189,19 @@ def precompute_compressed(
     UserError
     """
     settings.check(int(transport.bandlimit))
-    with transport.opened(scene, on_plan) as planned:
+    with plan_scene(scene, transport, on_plan) as planned:
         if not planned.by_blocks or settings.needs_all_vectors:
-            transfer = planned.transfer(advance)
+            transfer = compute_transfer(planned, advance)
             return compress(transfer, report=report, **vars(settings))
-        source, grouping = planned.direct(), surveyed(settings, planned)
+        source, grouping = planned.estimator(), surveyed(settings, planned)
         work = Encoder(settings, planned.scene.mesh, grouping, int(transport.bandlimit), transport.seed)
-        work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
+        work.learn(lambda vertices: source.estimate(vertices).vectors)
         return streamed(planned, source, work, advance, report)
 
 
 def streamed(
     planned: PlannedScene,
-    source: DirectTransfer,
+    source: Estimator[Any],
     work: Encoder,
     advance: Callable[[int, int], None],
     report: Tell,
@@ -212,7 +213,7 @@ def streamed(
     ----------
     planned : PlannedScene
         That does `by_blocks`.
-    source : DirectTransfer
+    source : Estimator
         Of ``planned``.
     work : Encoder
         With its bases learnt.
@@ -263,34 +264,36 @@ def _finished(
 
 
 def _trace(
-    planned: PlannedScene, source: DirectTransfer, work: Encoder, store: Journal, advance: Callable[[int, int], None]
+    planned: PlannedScene, source: Estimator[Any], work: Encoder, store: Journal, advance: Callable[[int, int], None]
 ) -> None:
     """Trace and project all blocks that are not in the journal already."""
-    blocks, count = source.blocks, len(planned.scene.mesh.positions)
+    pieces, count = source.pieces(), len(planned.scene.mesh.positions)
     done = {number for number, _ in store}
-    left = [number for number in range(len(blocks)) if number not in done]
+    left = [number for number in range(len(pieces)) if number not in done]
     if done:
-        log.info("%d of %d blocks were finished before and are kept", len(done), len(blocks))
-        advance(sum(blocks[number].size for number in done), count)
+        log.info("%d of %d blocks were finished before and are kept", len(done), len(pieces))
+        advance(sum(pieces[number].size for number in done), count)
 
-    def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> None:
-        store.add(left[place], work.block(vertices, vectors[:, None, :], blocked, rays))
+    def project(block: TransferBlock) -> Block:
+        return work.block(block.vertices, block.vectors, block.blocked, block.rays)
 
-    source.run([blocks[number] for number in left], deliver, lambda n: advance(n, count))
+    for number, block in zip(left, source.blocks([pieces[number] for number in left], project), strict=True):
+        store.add(number, block)
+        advance(block.vertices.size, count)
 
 
-def _borrowed(planned: PlannedScene, source: DirectTransfer, work: Encoder, store: Store) -> dict[int, Block]:
+def _borrowed(planned: PlannedScene, source: Estimator[Any], work: Encoder, store: Store) -> dict[int, Block]:
     """Blocks of the vertices inside other geometry, whose transfer is that of their neighbours."""
     dark = [block.vertices[block.figures[:, 0] >= 1.0] for _, block in store]
     receivers = planned.scene.mesh.receivers.active
     found = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *dark]))
-    borrowed = borrow(planned.scene, found[receivers[found]].astype(np.int64))
+    interior = find_interior(planned.scene, found[receivers[found]].astype(np.int64))
     overrides = {}
-    for number, begin in enumerate(range(0, borrowed.rows.size, _BLOCK)):
-        rows = borrowed.rows[begin : begin + _BLOCK]
-        weights = borrowed.weights[begin : begin + _BLOCK]
+    for number, begin in enumerate(range(0, interior.vertices.size, _BLOCK)):
+        rows = interior.vertices[begin : begin + _BLOCK]
+        weights = interior.weights[begin : begin + _BLOCK]
         lenders = np.unique(weights.indices)
-        vectors = weights[:, lenders] @ source.of(lenders)[0]
+        vectors = weights[:, lenders] @ source.estimate(lenders).vectors[:, 0]
         overrides[number] = work.block(rows, vectors[:, None, :].astype(np.float32), np.ones(rows.size), 0)
     return overrides
 

@@ -30,12 +30,12 @@ ball = trimesh.creation.icosphere(6)
 radius = 1 + 0.1 * np.sin(9 * ball.vertices).prod(axis=1)
 with open_scene(make_mesh(ball.vertices * radius[:, None], ball.faces)) as scene:
     chosen = np.arange(0, len(ball.vertices), 4)
-    tracer = VisibilityTracer(scene, 0, direction_set(256), 0)
-    tracer.look(chosen)
+    tracer = VisibilityTracer(scene, direction_set(256), 0)
+    tracer.trace(chosen)
     rates = []
     for _ in range(3):
         begin, before = time.perf_counter(), tracer.rays
-        tracer.look(chosen)
+        tracer.trace(chosen)
         rates.append((tracer.rays - before) * 1e-6 / (time.perf_counter() - begin))
     print(json.dumps({"mrays": sorted(rates)[1]}))
 """

@@ -13,8 +13,9 @@ from slepian_prt.compression.compressed import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, precompute_compressed
 from slepian_prt.errors import UserError
-from slepian_prt.transport.transfer import TransportSettings, precompute
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.direct import DirectTransfer
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
 
 
@@ -180,7 +181,7 @@ def test_streamed_is_as_good_as_in_memory(settings, tmp_path):
 
 @pytest.mark.parametrize("after", [0, 1, 3, 6])
 def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, monkeypatch, cache, caplog):
-    monkeypatch.setattr("slepian_prt.transport.visibility._RAYS_PER_BLOCK", 1 << 16)
+    monkeypatch.setattr("slepian_prt.transport.direct._RAYS_PER_BLOCK", 1 << 16)
     mesh, settings = bumpy(4), CompressionSettings(tolerance=0.05, clusters=12)
     whole = content(precompute_compressed(mesh, settings, JOB), tmp_path)
     add, added = stores.Journal.add, []
@@ -197,10 +198,8 @@ def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, m
             precompute_compressed(mesh, settings, JOB)
     assert len(list(cache.iterdir())) == 1
     traced = []
-    run = DirectTransfer.run
-    monkeypatch.setattr(
-        DirectTransfer, "run", lambda self, blocks, *rest: (traced.append(len(blocks)), run(self, blocks, *rest))[1]
-    )
+    blocks = DirectTransfer.blocks
+    monkeypatch.setattr(DirectTransfer, "blocks", lambda *call: (traced.append(len(call[1])), blocks(*call))[1])
     with caplog.at_level("INFO"):
         resumed = precompute_compressed(mesh, settings, JOB)
     assert content(resumed, tmp_path) == whole
