@@ -24,7 +24,7 @@ from slepian_prt.lighting.environment import make_environment
 from slepian_prt.relighting.camera import trace_camera
 from slepian_prt.relighting.pictures import exposure, to_srgb
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.settings import TransportSettings
 
 ROOT = Path(__file__).parent.parent
 FIGURES = ROOT / "docs" / "figures"

@@ -20,7 +20,7 @@ from slepian_prt.compression.pilot import pilot_vertices
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.scene.receivers import morton
-from slepian_prt.transport.transfer import PlannedScene
+from slepian_prt.transport.planned import PlannedScene
 
 # Caps that are coded on trial, and so many neighbouring vertices of each at most: caps differ more from each other than
 # within.
@@ -110,12 +110,11 @@ class CodingPilot:
             of_bases_vectors, self._vectors = vectors[of_bases], vectors[self._vertices]
         else:
             assert look.source is not None
-            found = look.source.of(np.concatenate([of_bases, self._vertices]))[0][:, None, :]
+            found = look.source.estimate(np.concatenate([of_bases, self._vertices])).vectors
             of_bases_vectors, self._vectors = found[: of_bases.size], found[of_bases.size :]
-            beside = look.source.other(
-                planned.settings.seed + 1, max(look.bandlimit, min(2 * look.bandlimit + 4, _BESIDE))
-            )
-            self._apart = -beside.of(self._vertices)[0][:, None, :]
+            higher = max(look.bandlimit, min(2 * look.bandlimit + 4, _BESIDE))
+            beside = replace(look.source, seed=planned.settings.seed + 1, bandlimit=higher)
+            self._apart = -beside.estimate(self._vertices).vectors
             self._apart[:, :, : self._vectors.shape[2]] += self._vectors
         self._work.learn(lambda _: of_bases_vectors)
         self.seconds = time.perf_counter() - begin

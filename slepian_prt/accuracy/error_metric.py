@@ -21,7 +21,8 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
-from slepian_prt.transport.transfer import LARGEST_BANDLIMIT, PlannedScene
+from slepian_prt.transport.planned import PlannedScene
+from slepian_prt.transport.settings import LARGEST_BANDLIMIT
 
 # References per vertex take at most this many samples.
 _MOST_SAMPLES = 1 << 15
@@ -97,7 +98,7 @@ class MapMetric:
         cls, planned: PlannedScene, environments: Sequence[Environment], vertices: NDArray, noise: float
     ) -> MapMetric:
         """References with at most so much relative noise, if that can be had."""
-        view = planned.toward
+        view = planned.plan.view
         bounces = _MANY_BOUNCES if planned.plan.interreflection else 0
         if planned.plan.interreflection and planned.settings.bounces is not None:
             bounces = int(planned.settings.bounces)

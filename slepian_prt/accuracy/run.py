@@ -34,7 +34,8 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior, falling_prior, measured_prior
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import PlannedScene, TransportSettings
+from slepian_prt.transport.planned import PlannedScene, plan_scene
+from slepian_prt.transport.settings import TransportSettings
 
 # Noise of references: this part of the error asked for, and without one.
 _NOISE_PART = 0.35
@@ -168,7 +169,7 @@ def precompute_within(
     goal.check()
     started = time.perf_counter() if started is None else started
     _check(settings)
-    with transport.opened(scene) as planned:
+    with plan_scene(scene, transport) as planned:
         if not light.environments and not light.spectrum:
             if planned.scene.environment is None:
                 raise UserError("no light to measure errors under: name a map with `environment`, or a `light_prior`")
@@ -264,11 +265,12 @@ class _Task:
         if not self.planned.by_blocks:
             raise UserError("a goal for light of a spectrum needs direct light only; name maps with `environment`")
         bandlimit = _SPECTRUM_BANDLIMIT if self.light.maps else _FALLING_BANDLIMIT
-        transport = replace(self.planned.settings, samples=_SPECTRUM_SAMPLES, bandlimit=bandlimit)
-        first, second = (
-            self.planned.asked(replace(transport, seed=transport.seed + 1 + half)).direct().of(vertices)[0]
+        planned, seed = self.planned, self.planned.settings.seed
+        halves = [
+            planned.with_settings(samples=_SPECTRUM_SAMPLES, bandlimit=bandlimit, seed=seed + 1 + half)
             for half in (0, 1)
-        )
+        ]
+        first, second = (half.estimator().estimate(vertices).vectors[:, 0] for half in halves)
         prior = self.light.prior(bandlimit)
         return SpectrumMetric.of(prior, vertices, (first, second), self.planned.scene.mesh.normals[vertices])
 
@@ -279,8 +281,8 @@ class _Task:
         """
         if self.light.environments or not self.planned.by_blocks or vertices.size == 0:
             return vertices
-        transport = replace(self.planned.settings, samples=_SURVEY_SAMPLES, bandlimit=1)
-        return vertices[self.planned.asked(transport).direct().of(vertices)[1] < 1.0]
+        quick = self.planned.with_settings(samples=_SURVEY_SAMPLES, bandlimit=1)
+        return vertices[quick.estimator().estimate(vertices).blocked < 1.0]
 
     def _prior(self, bandlimit: int) -> LightPrior:
         if bandlimit not in self._priors:
@@ -302,7 +304,7 @@ class _Task:
     ) -> CompressedTransfer:
         """The whole mesh."""
         self.planned.clock.stop("pilot")
-        planned = self.planned.asked(replace(self.planned.settings, samples=chosen.samples, bandlimit=chosen.bandlimit))
+        planned = self.planned.with_settings(samples=chosen.samples, bandlimit=chosen.bandlimit)
         on_plan(planned.plan.effects)
         if chosen.look.transfer is not None:
             transfer, started = chosen.look.transfer, time.perf_counter()

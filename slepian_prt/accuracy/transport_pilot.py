@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from slepian_prt.accuracy.error_metric import Error, ErrorMetric
 from slepian_prt.scene.receivers import morton
 from slepian_prt.sphere.harmonics import num_coefficients
-from slepian_prt.transport.transfer import PlannedScene, Transfer
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.direct import DirectTransfer
+from slepian_prt.transport.planned import PlannedScene
+from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 SAMPLES = tuple(1 << e for e in range(6, 15))
 BANDLIMITS = (*range(1, 11), 12, 15, 20, 25, 30, 35, 40, 45, 50)
@@ -165,23 +166,23 @@ class TransportPilot:
         planned = self.planned
         begin = time.perf_counter()
         source = self.source(samples, bandlimit)
-        source.of(self._timed[:64])  # compiles, and makes the tables
+        source.estimate(self._timed[:64])  # compiles, and makes the tables
         prepared = time.perf_counter()
-        vectors = source.of(self._timed)[0]
+        vectors = source.estimate(self._timed).vectors
         took = time.perf_counter() - prepared
         count = len(planned.scene.mesh.positions)
         seconds = took * count / self._timed.size * (_SCATTERED if count > self._timed.size else 1.0)
         chosen = self.yardstick.vertices
-        own, noise = vectors[: chosen.size, None, :], None
+        own, noise = vectors[: chosen.size], None
         if twice:
-            other = source.other(planned.settings.seed + 1, bandlimit).of(chosen)[0][:, None, :]
+            other = replace(source, seed=planned.settings.seed + 1).estimate(chosen).vectors
             noise = 0.5 * self.yardstick.apart(own, other)
         return TransportTrial(samples, bandlimit, self.yardstick.errors(own), noise, seconds + prepared - begin, source)
 
     def _whole(self, samples: int, bandlimit: int) -> TransportTrial:
         begin = time.perf_counter()
-        asked = self.planned.asked(replace(self.planned.settings, samples=samples, bandlimit=bandlimit))
-        transfer = asked.transfer()
+        asked = self.planned.with_settings(samples=samples, bandlimit=bandlimit)
+        transfer = compute_transfer(asked)
         seconds = time.perf_counter() - begin
         error = self.yardstick.errors(transfer.vectors[self.yardstick.vertices])
         return TransportTrial(samples, bandlimit, error, None, seconds, None, transfer)

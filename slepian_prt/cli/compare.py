@@ -70,7 +70,7 @@ def compare(
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
     from slepian_prt.evaluation.report import write_report
     from slepian_prt.files import check_folder
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
     transport = settings_of(TransportSettings, options)
     grouping = settings_of(CompressionSettings, options)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slepian_prt.accuracy.run import BudgetedResult, Light
     from slepian_prt.accuracy.search import Choice
     from slepian_prt.compression.settings import CompressionSettings
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
 
 def precompute_toward(

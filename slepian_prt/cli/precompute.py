@@ -23,7 +23,7 @@ from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
     from slepian_prt.compression.settings import CompressionSettings
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
 # How to compress: fields of `CompressionSettings`.
 _compression_options = together(
@@ -97,7 +97,7 @@ def precompute(
     from slepian_prt import files
     from slepian_prt.accuracy.goal import Goal
     from slepian_prt.compression.settings import CompressionSettings
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
     started = time.perf_counter()
     transport = settings_of(TransportSettings, options)

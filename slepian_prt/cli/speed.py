@@ -25,12 +25,12 @@ def rays_per_second(directions: int = 256, repeats: int = 3) -> float:
     mesh = bumpy_sphere()
     with open_scene(mesh) as scene:
         chosen = np.arange(0, len(mesh.positions), 4)
-        tracer = VisibilityTracer(scene, 0, direction_set(directions), 0)
-        tracer.look(chosen)  # compiles the kernel
+        tracer = VisibilityTracer(scene, direction_set(directions), 0)
+        tracer.trace(chosen)  # compiles the kernel
         rates = []
         for _ in range(repeats):
             begin, before = time.perf_counter(), tracer.rays
-            tracer.look(chosen)
+            tracer.trace(chosen)
             rates.append((tracer.rays - before) / (time.perf_counter() - begin))
     return float(np.median(rates))
 

@@ -74,7 +74,7 @@ def sweep(
     from slepian_prt.evaluation import sweep as sweeping
     from slepian_prt.evaluation.sweep_report import write_sweep
     from slepian_prt.files import check_folder
-    from slepian_prt.transport.transfer import TransportSettings
+    from slepian_prt.transport.settings import TransportSettings
 
     axes = sweeping.Axes(samples, bandlimit, clusters, basis, tolerance, bounces or (None,))
     axes.check()

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from slepian_prt.compression.clustering import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.scene.receivers import Receivers
+from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.directions import SMALLEST_SET
-from slepian_prt.transport.transfer import PlannedScene, Transfer
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.planned import PlannedScene
+from slepian_prt.transport.transfer import Transfer
 
 
 class Grouping(NamedTuple):
@@ -45,10 +46,10 @@ def group_scene(settings: CompressionSettings, planned: PlannedScene) -> Groupin
     axes, openness = receivers.normals, np.ones(len(receivers), dtype=np.float32)
     if settings.group_by == "bent" or settings.occlusion_classes > 1:
         quick = DirectTransfer(planned.scene, 1, SMALLEST_SET, planned.plan.shadowed, planned.settings.seed)
-        vectors, blocked = quick.of(np.arange(len(receivers)))
-        openness = 1.0 - blocked
+        survey = quick.estimate()
+        openness = 1.0 - survey.blocked
         if settings.group_by == "bent":
-            axes = bent_normals(vectors, axes)
+            axes = bent_normals(survey.vectors[:, 0], axes)
     return _cluster(settings, receivers, axes, openness)
 
 

@@ -16,6 +16,7 @@ from slepian_prt.compression.checkpoint import Block, BlockStatistics, MemorySto
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.pilot import decorrelated
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
+from slepian_prt.transport.estimator import TransferBlock
 
 # Functions that are coded may leave out this part of the squared tolerance, by prediction; rounding gets the rest.
 _LEFT_OUT = 0.1
@@ -53,12 +54,12 @@ class Projection:
         """Bytes that a file holds beside the coefficients, roughly: functions, which all caps share, caps, headers."""
         return 2.0 * self.bases[0].count * (self.learned.bandlimit + 1) + 32.0 * len(self.bases) + _HEADERS
 
-    def block(self, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> Block:
-        """Project a block of (n, channels, (L+1)²) transfer vectors."""
+    def block(self, traced: TransferBlock) -> Block:
+        """Project a block of transfer vectors."""
         clusters = self.learned.clusters
-        order = np.argsort(clusters.index[vertices], kind="stable")
-        vertices = vertices[order]
-        mixed = decorrelated(vectors[order])
+        order = np.argsort(clusters.index[traced.vertices], kind="stable")
+        vertices = traced.vertices[order]
+        mixed = decorrelated(traced.vectors[order])
         energy = self._energies(mixed)
         self.learned.add_mean(mixed, vertices, -1.0)
         caps, starts = np.unique(clusters.index[vertices], return_index=True)
@@ -70,8 +71,8 @@ class Projection:
             centred = mixed[rows] if basis.mean is None else mixed[rows] - basis.mean
             missed[rows] = self._energies(centred) - np.einsum("nk,nk->n", piece, piece)
             pieces.append(piece.ravel())
-        statistics = BlockStatistics(blocked[order].astype(np.float32), energy, np.maximum(missed, 0.0))
-        return Block(vertices.astype(np.int32), statistics, np.concatenate(pieces), rays)
+        statistics = BlockStatistics(traced.blocked[order].astype(np.float32), energy, np.maximum(missed, 0.0))
+        return Block(vertices.astype(np.int32), statistics, np.concatenate(pieces), traced.rays)
 
     def caps(self, store: Store, overrides: dict[int, Block] | None = None) -> CapBlocks:
         """The projected blocks, to be read cap by cap."""

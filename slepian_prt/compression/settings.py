@@ -13,7 +13,7 @@ from slepian_prt.compression.prediction import Expectation
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_integer
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.sphere.harmonics import num_coefficients
-from slepian_prt.transport.transfer import LARGEST_BANDLIMIT
+from slepian_prt.transport.settings import LARGEST_BANDLIMIT
 
 BASES = (*ANALYTIC, "pca", "cpca")
 CODINGS = ("coded", "float16", "float32")

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slepian_prt.compression import decoder
 from slepian_prt.compression.blocks import CapBlocks
@@ -33,9 +32,11 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.interior import borrow
-from slepian_prt.transport.transfer import PlannedScene, Transfer, TransportSettings
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.estimator import Estimator, TransferBlock
+from slepian_prt.transport.interior import find_interior
+from slepian_prt.transport.planned import PlannedScene, plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 log = logging.getLogger(__name__)
 
@@ -129,7 +130,9 @@ def project_transfer(transfer: Transfer, learned: LearnedBases) -> Projected:
         store = MemoryStore()
         for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
             vertices = np.arange(begin, min(begin + _BLOCK, len(transfer.vectors)))
-            store.add(number, projection.block(vertices, transfer.vectors[vertices], np.zeros(vertices.size), 0))
+            unknown = np.zeros(vertices.size, dtype=np.float32)
+            block = TransferBlock(vertices, transfer.vectors[vertices], unknown, 0)
+            store.add(number, projection.block(block))
         projected = Projected(projection, projection.caps(store))
         projection = widen(projection, projected.blocks)
     return projected
@@ -193,13 +196,13 @@ def precompute_compressed(
     UserError
     """
     settings.check(int(transport.bandlimit))
-    with transport.opened(scene, on_plan) as planned:
+    with plan_scene(scene, transport, on_plan) as planned:
         if not planned.by_blocks or settings.needs_all_vectors:
-            transfer = planned.transfer(advance)
+            transfer = compute_transfer(planned, advance)
             return compress(transfer, report=report, **vars(settings))
-        source, grouping = planned.direct(), group_scene(settings, planned)
+        source, grouping = planned.estimator(), group_scene(settings, planned)
         seed, receivers = transport.seed, planned.scene.mesh.receivers
-        vectors = source.of(pilot_of(grouping, seed))[0][:, None, :]
+        vectors = source.estimate(pilot_of(grouping, seed)).vectors
         learned = learn_bases(settings, receivers, grouping, int(transport.bandlimit), seed, vectors)
         with trace_and_project(planned, source, learned, advance) as projected:
             report("coding")
@@ -208,7 +211,7 @@ def precompute_compressed(
 
 @contextmanager
 def trace_and_project(
-    planned: PlannedScene, source: DirectTransfer, learned: LearnedBases, advance: Advance = _silent
+    planned: PlannedScene, source: Estimator[Any], learned: LearnedBases, advance: Advance = _silent
 ) -> Iterator[Projected]:
     """Trace and project block after block; blocks are on disk, and gone when the with-block ends well.
 
@@ -216,7 +219,7 @@ def trace_and_project(
     ----------
     planned : PlannedScene
         That does `by_blocks`.
-    source : DirectTransfer
+    source : Estimator
         Of ``planned``.
     learned : LearnedBases
     advance : as of `precompute`
@@ -271,37 +274,35 @@ def _assemble(encoding: Any, **about: Any) -> CompressedTransfer:
 
 
 def _trace(
-    planned: PlannedScene, source: DirectTransfer, projection: Projection, store: Store, advance: Advance
+    planned: PlannedScene, source: Estimator[Any], projection: Projection, store: Store, advance: Advance
 ) -> None:
     """Trace and project all blocks that are not in the store already."""
-    pieces, count = source.blocks, len(planned.scene.mesh.positions)
+    pieces, count = source.pieces(), len(planned.scene.receivers)
     done = {number for number, _ in store}
     left = [number for number in range(len(pieces)) if number not in done]
     if done:
         log.info("%d of %d blocks were finished before and are kept", len(done), len(pieces))
         advance(sum(pieces[number].size for number in done), count)
-
-    def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> None:
-        store.add(left[place], projection.block(vertices, vectors[:, None, :], blocked, rays))
-
-    source.run([pieces[number] for number in left], deliver, lambda n: advance(n, count))
+    for number, block in zip(left, source.blocks([pieces[number] for number in left], projection.block), strict=True):
+        store.add(number, block)
+        advance(block.vertices.size, count)
 
 
 def _project_interior(
-    planned: PlannedScene, source: DirectTransfer, projection: Projection, store: Store
+    planned: PlannedScene, source: Estimator[Any], projection: Projection, store: Store
 ) -> dict[int, Block]:
     """Blocks of the receivers inside other geometry, whose transfer is that of their neighbours."""
     dark = [block.vertices[block.statistics.blocked >= 1.0] for _, block in store]
-    active = planned.scene.mesh.receivers.active
-    found = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *dark]))
-    fill = borrow(planned.scene, found[active[found]].astype(np.int64))
+    found = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *dark]))
+    interior = find_interior(planned.scene, found[planned.scene.receivers.active[found]])
     overrides = {}
-    for number, begin in enumerate(range(0, fill.rows.size, _BLOCK)):
-        rows = fill.rows[begin : begin + _BLOCK]
-        weights = fill.weights[begin : begin + _BLOCK]
-        sources = np.unique(weights.indices)
-        vectors = weights[:, sources] @ source.of(sources)[0]
-        overrides[number] = projection.block(rows, vectors[:, None, :].astype(np.float32), np.ones(rows.size), 0)
+    for number, begin in enumerate(range(0, interior.vertices.size, _BLOCK)):
+        rows = slice(begin, begin + _BLOCK)
+        vertices, weights = interior.vertices[rows], interior.weights[rows]
+        visible = np.unique(weights.indices)
+        vectors = (weights[:, visible] @ source.estimate(visible).vectors[:, 0]).astype(np.float32)
+        block = TransferBlock(vertices, vectors[:, None, :], np.ones(vertices.size, dtype=np.float32), 0)
+        overrides[number] = projection.block(block)
     return overrides
 
 

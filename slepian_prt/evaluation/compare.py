@@ -30,7 +30,9 @@ from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Transfer, TransportSettings
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 DEFAULT_TERMS = (4, 9, 16, 25, 36)
 
@@ -173,8 +175,8 @@ def compare(
     wanted = sorted({k for k in terms if k <= size}) or [size]
     started = time.perf_counter()
     report("transport")
-    with transport.opened(scene, on_plan) as planned:
-        transfer = planned.transfer(advance)
+    with plan_scene(scene, transport, on_plan) as planned:
+        transfer = compute_transfer(planned, advance)
     if not environments:
         if transfer.environment is None:
             raise UserError(f"{scene}: the scene has no distant light of its own; name a map with `environment`")

@@ -16,7 +16,7 @@ from slepian_prt.relighting.pictures import Picture, split_alpha
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import View
-from slepian_prt.transport.interior import borrow
+from slepian_prt.transport.interior import find_interior
 
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
@@ -116,7 +116,7 @@ def vertex_reference(
     mean = 0.5 * (first + second)
     if view is None and vertices is None:
         # What transport does for vertices inside other geometry.
-        borrow(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
+        find_interior(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
     radiance = (mean * albedo).astype(np.float32)
     return ReferenceVertices(radiance, measured, samples, time.perf_counter() - started)
 

@@ -35,7 +35,9 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import PlannedScene, Transfer, TransportSettings
+from slepian_prt.transport.planned import PlannedScene, plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 # Vertices that errors are measured at, and those that transport is timed on at each bandlimit.
 REFERENCE_VERTICES = 4000
@@ -330,7 +332,7 @@ def sweep(
         raise UserError("no light: name a map with `environment` (only a Mitsuba .xml scene may have its own)")
     settings = list(axes.settings())
     first = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
-    with first.opened(scene, on_plan) as planned:
+    with plan_scene(scene, first, on_plan) as planned:
         if not environments:
             if planned.scene.environment is None:
                 raise UserError(f"{scene}: the scene has no distant light of its own; name a map with `environment`")
@@ -341,7 +343,7 @@ def sweep(
             report(f"{len(found)} of {len(settings)} settings were measured before and are kept")
             advance(len(found), len(settings))
         begin = time.perf_counter()
-        planned.direct().of(np.flatnonzero(planned.scene.mesh.receivers.active)[:64])
+        planned.estimator().estimate(np.flatnonzero(planned.scene.mesh.receivers.active)[:64])
         shared = {**planned.clock.seconds, "kernels": time.perf_counter() - begin}
         report("references")
         measure = _Measure.made(planned, environments, noise, _most(axes.bounces))
@@ -352,10 +354,10 @@ def sweep(
             if not left:
                 continue
             report(f"transport, {samples} rays, L = {first.bandlimit}")
-            asked = planned.asked(replace(first, samples=samples, bounces=bounces))
+            asked = planned.with_settings(samples=samples, bounces=bounces)
             parts = _parts(asked, axes.bandlimits)
             asked.clock.stop("timing")
-            transfer = asked.transfer()
+            transfer = compute_transfer(asked)
             for setting in left:
                 report(setting.label)
                 found[setting] = measure.point(setting, transfer, *parts[setting.bandlimit])
@@ -384,12 +386,12 @@ def _parts(planned: PlannedScene, bandlimits: Sequence[int]) -> dict[int, tuple[
     some = receivers[:: max(1, receivers.size // _TIMED)]
     times: dict[int, list[float]] = {}
     for bandlimit in bandlimits:
-        source = replace(planned, settings=replace(planned.settings, bandlimit=bandlimit)).direct()
-        source.of(some)
+        source = replace(planned, settings=replace(planned.settings, bandlimit=bandlimit)).estimator()
+        source.estimate(some)
         times[bandlimit] = []
         for _ in range(_RUNS):
             begin = time.perf_counter()
-            source.of(some)
+            source.estimate(some)
             times[bandlimit].append(time.perf_counter() - begin)
     longest = float(np.median(times[max(bandlimits)]))
     return {l: (float(np.median(t)) / longest, float(np.ptp(t) / np.median(t))) for l, t in times.items()}

@@ -15,7 +15,9 @@ from slepian_prt.lighting.environment import make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import measured_prior
 from slepian_prt.sphere.harmonics import degrees
-from slepian_prt.transport.transfer import TransportSettings, precompute
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import compute_transfer, precompute
 from tests.conftest import bumpy
 from tests.relighting.mitsuba.test_integrator import sky
 
@@ -46,11 +48,11 @@ def test_errors_of_coefficients_under_a_light(shadowed, rng):
 @pytest.mark.parametrize("part", [0.02, 0.06])
 def test_a_trial_foresees_what_coding_adds(part):
     """Tolerance, error and bytes of the whole mesh, from caps of a pilot."""
-    with TransportSettings().opened(bumpy(5)) as planned:
+    with plan_scene(bumpy(5), TransportSettings()) as planned:
         chosen, timed = pilot_vertices(planned, 0)
         yardstick = MapMetric.of(planned, [SKY], chosen, 0.004)
         look = TransportPilot(planned, yardstick, timed, SAMPLES, (8,), lambda _: None).look(256, 8)
-        transfer = planned.asked(TransportSettings(8, 256)).transfer()
+        transfer = compute_transfer(planned.with_settings(bandlimit=8, samples=256))
         prior = measured_prior([project_environment(SKY, 8)], 8, "sky")
         grouping = group_transfer(CompressionSettings(clusters=40), transfer)
         pilot = CodingPilot(planned, look, CompressionSettings(clusters=40), grouping, lambda _: prior, yardstick)

@@ -11,8 +11,9 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior, falling_prior
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.rotation import rotate_sh
-from slepian_prt.transport.transfer import TransportSettings
-from slepian_prt.transport.visibility import unoccluded_transfer
+from slepian_prt.transport.direct import unoccluded_transfer
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy, random_directions, sphere
 from tests.relighting.mitsuba.test_integrator import grid_directions
 
@@ -153,9 +154,9 @@ def test_what_lies_beyond_the_reference_is_known_from_degree_one():
 
 def test_a_map_against_a_scene():
     """Full SH at a high bandlimit with many rays is within noise of the reference, a low one is not."""
-    with TransportSettings(12, 4096).opened(bumpy(3)) as planned:
+    with plan_scene(bumpy(3), TransportSettings(12, 4096)) as planned:
         vertices = np.flatnonzero(planned.scene.mesh.receivers.active)
-        vectors = planned.direct().of(vertices)[0]
+        vectors = planned.estimator().estimate(vertices).vectors[:, 0]
         texels = np.full((32, 64, 3), 0.5, dtype=np.float32)
         texels[:16] = 2.0
         yardstick = MapMetric.of(planned, [make_environment(texels, name="half")], vertices, 0.003)

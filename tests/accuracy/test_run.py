@@ -20,7 +20,9 @@ from slepian_prt.lighting.environment import make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.mesh import make_mesh
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import compute_transfer
 from tests.conftest import ROOT, bumpy
 from tests.relighting.mitsuba.test_integrator import sky
 
@@ -32,7 +34,7 @@ FEW = CompressionSettings(clusters=16)
 
 def true_error(mesh, packed, environment=SKY) -> float:
     """At all vertices, against a reference of its own."""
-    with TransportSettings().opened(mesh) as planned:
+    with plan_scene(mesh, TransportSettings()) as planned:
         reference = vertex_reference(planned.scene, environment, noise=0.002, seed=77)
     radiance = relight(packed, project_environment(environment, packed.bandlimit))
     return float(np.sqrt(max(relative_rms(radiance, reference.radiance) ** 2 - reference.noise**2, 0.0)))
@@ -85,8 +87,8 @@ def test_a_spectrum_instead_of_maps():
     assert found.packed.prior == "1/(l+1)"
     # By brute force: full transfer with many rays at a high bandlimit, degree by degree.
     exact = TransportSettings(20, 4096)
-    with exact.opened(mesh) as planned:
-        vectors = planned.transfer().vectors[:, 0].astype(np.float64)
+    with plan_scene(mesh, exact) as planned:
+        vectors = compute_transfer(planned).vectors[:, 0].astype(np.float64)
     mine = np.zeros_like(vectors)
     mine[:, : (found.packed.bandlimit + 1) ** 2] = found.packed.reconstruct()
     weights = np.repeat(1.0 / (1.0 + np.arange(21.0)), 2 * np.arange(21) + 1)
@@ -100,8 +102,8 @@ def test_what_cannot_be_met_is_refused_with_the_best():
     with pytest.raises(UserError, match=r"cannot be met under harsh: bandlimit 3 leaves") as refused:
         precompute_within(mesh, Goal(error=0.02, bandlimit=3), Light((HARSH,)), FEW, TransportSettings())
     claimed = float(re.search(r"leaves ([\d.]+)", str(refused.value))[1])
-    with TransportSettings(3, 4096).opened(mesh) as planned:
-        transfer = planned.transfer()
+    with plan_scene(mesh, TransportSettings(3, 4096)) as planned:
+        transfer = compute_transfer(planned)
     assert claimed == pytest.approx(true_error(mesh, transfer, HARSH), rel=0.1)
     offer = float(re.search(r"--max-error ([\d.]+)", str(refused.value))[1])
     found = precompute_within(mesh, Goal(error=offer, bandlimit=3), Light((HARSH,)), FEW, TransportSettings())

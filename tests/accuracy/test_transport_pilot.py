@@ -6,7 +6,9 @@ import pytest
 from slepian_prt.accuracy.error_metric import MapMetric
 from slepian_prt.accuracy.transport_pilot import BANDLIMITS, PILOT, SAMPLES, TransportPilot, pilot_vertices
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import compute_transfer
 from tests.conftest import bumpy
 from tests.numerics import assert_rounded
 from tests.relighting.mitsuba.test_integrator import sky
@@ -14,7 +16,7 @@ from tests.relighting.mitsuba.test_integrator import sky
 
 @pytest.fixture(scope="module")
 def pilot():
-    with TransportSettings().opened(bumpy(5)) as planned:
+    with plan_scene(bumpy(5), TransportSettings()) as planned:
         chosen, timed = pilot_vertices(planned, 0)
         yardstick = MapMetric.of(planned, [make_environment(sky(), name="sky")], chosen, 0.004)
         made = TransportPilot(planned, yardstick, timed, SAMPLES, BANDLIMITS, lambda _: None)
@@ -23,7 +25,7 @@ def pilot():
 
 
 def test_vertices_are_apart_and_all_over():
-    with TransportSettings().opened(bumpy(5)) as planned:
+    with plan_scene(bumpy(5), TransportSettings()) as planned:
         chosen, held_out = pilot_vertices(planned, 0)
         others, _ = pilot_vertices(planned, 1)
     assert np.intersect1d(chosen, held_out).size == 0
@@ -43,7 +45,7 @@ def test_few_combinations_tell_the_others(pilot):
         assert (samples, bandlimit) not in looked
         foreseen = float(np.sqrt(pilot.squared(samples, bandlimit)[0]))
         source = pilot.source(samples, bandlimit)
-        vectors = source.of(pilot.yardstick.vertices)[0]
+        vectors = source.estimate(pilot.yardstick.vertices).vectors[:, 0]
         found = float(np.sqrt(pilot.yardstick.errors(vectors[:, None, :]).squared[bandlimit, 0]))
         assert foreseen == pytest.approx(found, rel=0.2)
 
@@ -60,10 +62,10 @@ def test_feasible_is_what_meets_the_error(pilot):
 def test_a_pilot_s_transport_is_that_of_the_whole_run(pilot):
     """So that nothing but the choice of vertices separates what is foreseen from what comes."""
     planned = pilot.planned
-    whole = planned.asked(TransportSettings(6, 128)).transfer().vectors[pilot.yardstick.vertices, 0]
+    whole = compute_transfer(planned.with_settings(bandlimit=6, samples=128)).vectors[pilot.yardstick.vertices, 0]
     # The same rays, added up in blocks of other vertices: of a net's nodes no more than there are rays, then a rotation
     # of up to 2 L + 1 numbers. By Cauchy-Schwarz (1/π) ∫ (n·ω)₊ |y_lm| dω is at most 1/√π.
-    found = pilot.source(128, 6).of(pilot.yardstick.vertices)[0]
+    found = pilot.source(128, 6).estimate(pilot.yardstick.vertices).vectors[:, 0]
     assert_rounded(found, whole, terms=128 + 13, size=1.0 / np.sqrt(np.pi))
 
 

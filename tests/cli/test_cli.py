@@ -124,7 +124,7 @@ BAD = {
     "square map": (["relight", "{}/ball.prt", "--environment", "{}/square.exr", "-o", "{}/x.png"], "twice as wide"),
     "negative map": (
         ["relight", "{}/ball.prt", "--environment", "{}/negative.exr", "-o", "{}/x.png"],
-        "clamp_negative",
+        "--clamp-negative",
     ),
     "mesh as map": (["relight", "{}/ball.prt", "--environment", "{}/ball.ply", "-o", "{}/x.png"], "cannot be read"),
     "unknown output": (["relight", "{}/ball.prt", "--environment", "{}/map.exr", "-o", "{}/x.gif"], "unknown kind"),
@@ -289,7 +289,7 @@ def test_albedo_brings_interreflection(folder, capsys):
     assert {"name", "verdict", "contribution", "confidence", "rays", "reason"} <= set(content["effects"][0])
     assert run(["relight", out, "--environment", folder / "map.exr", "-o", folder / "bright.npz"]) == 0
     assert run(["precompute", folder / "ball.ply", "-o", out, "--albedo", "0.9", "--effects", "direct", *SMALL]) == 0
-    assert "not asked for (--effects direct)" in capsys.readouterr().out
+    assert "not asked for (effects direct)" in capsys.readouterr().out
 
 
 def test_a_scene_is_relit_in_its_own_light_by_its_own_camera(folder, capsys):

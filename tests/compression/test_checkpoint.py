@@ -14,8 +14,9 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, precompute_compressed
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.operator import transfer_operator
-from slepian_prt.transport.transfer import TransportSettings, precompute
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.direct import DirectTransfer
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
 from tests.numerics import assert_exact, assert_rounded
 
@@ -184,15 +185,15 @@ def test_streamed_is_as_good_as_in_memory(settings, tmp_path):
 
 @pytest.mark.parametrize("after", [0, 1, 3, 6])
 def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, monkeypatch, cache, caplog):
-    monkeypatch.setattr("slepian_prt.transport.visibility._RAYS_PER_BLOCK", 1 << 16)
+    monkeypatch.setattr("slepian_prt.transport.direct._RAYS_PER_BLOCK", 1 << 16)
     mesh, settings = bumpy(4), CompressionSettings(tolerance=0.05, clusters=12)
-    traced, run = [], DirectTransfer.run  # how many blocks, of the pilot and then of the rest
+    traced, blocks_of = [], DirectTransfer.blocks  # how many blocks, of the pilot and then of the rest
 
-    def counted(source, blocks, *rest):
-        traced.append(len(blocks))
-        run(source, blocks, *rest)
+    def counted(source, pieces, *rest):
+        traced.append(len(pieces))
+        return blocks_of(source, pieces, *rest)
 
-    monkeypatch.setattr(DirectTransfer, "run", counted)
+    monkeypatch.setattr(DirectTransfer, "blocks", counted)
     uninterrupted = precompute_compressed(mesh, settings, JOB)
     whole = content(uninterrupted, tmp_path)
     pilot, blocks = traced

@@ -112,7 +112,7 @@ def test_occlusion_classes_are_even_and_ordered(rng):
 def test_bent_normals_point_to_the_light():
     """Unshadowed, they are the normals; half of the sky blocked, they turn away from that half."""
     from slepian_prt.compression.grouping import bent_normals
-    from slepian_prt.transport.visibility import unoccluded_transfer
+    from slepian_prt.transport.direct import unoccluded_transfer
 
     normals = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, -1.0, 0.0]])
     np.testing.assert_allclose(bent_normals(unoccluded_transfer(2, normals), normals), normals, atol=1e-6)

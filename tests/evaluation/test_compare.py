@@ -14,7 +14,7 @@ from slepian_prt.evaluation.sweep import Point, Setting, Sweep
 from slepian_prt.files import check_folder
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.relighting.pictures import Picture
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy
 
 METHOD_FIELDS = {

@@ -16,7 +16,8 @@ from slepian_prt.evaluation import sweep as sweeping
 from slepian_prt.evaluation.sweep import Axes, Journal, Point, Setting, Sweep, findings, pareto
 from slepian_prt.evaluation.sweep_report import _named, write_sweep
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy
 from tests.relighting.mitsuba.test_integrator import sky
 
@@ -149,7 +150,7 @@ def test_a_stopped_sweep_goes_on(folder, tmp_path):
     environments, transport = [make_environment(sky(), name="sky")], TransportSettings()
     axes = replace(AXES, bandlimits=(2,), tolerances=(0.3, 0.1))
     path = tmp_path / "partial"
-    with transport.opened(folder / "bumpy.ply") as planned:
+    with plan_scene(folder / "bumpy.ply", transport) as planned:
         journal = Journal(path, planned, environments, 0.05)
     kept = replace(point(samples=16, bandlimit=2, tolerance=0.3), error={"sky": 0.123})
     journal.add(kept)
@@ -172,7 +173,7 @@ def test_a_stopped_sweep_goes_on(folder, tmp_path):
     journal.add(kept)
     moved = replace(bumpy(3), positions=1.1 * bumpy(3).positions)
     for scene, other in ((folder / "bumpy.ply", TransportSettings(seed=1)), (moved, transport)):
-        with other.opened(scene) as planned:
+        with plan_scene(scene, other) as planned:
             assert Journal(path, planned, environments, 0.05).points == {}
 
 

@@ -45,7 +45,7 @@ def skull(data):
     with open_scene(data / "meshes" / "skull.ply") as scene:
         mi = scene.mi
         chosen = np.random.default_rng(4).choice(len(scene.mesh.positions), 400, replace=False)
-        tracer = VisibilityTracer(scene, bandlimit, direction_set(256), 0)
+        tracer = VisibilityTracer(scene, direction_set(256), 0)
         directions = hemisphere_fibonacci(rays)
         harmonics = (real_sh(bandlimit, directions) / rays).astype(np.float32)
         frames, origins = tracer.frames(chosen), scene.ray_origins[chosen]
