@@ -36,12 +36,12 @@ def environment_option(what: str) -> Decorator:
 
 def width_option(what: str, default: int) -> Decorator:
     text = f"{what}, in pixels.  [default: that of the scene's camera, or {default}]"
-    return click.option("--width", type=int, callback=_check_width, help=text)
+    return click.option("--width", type=int, callback=check_width, help=text)
 
 
 def noise_option(default: float) -> Decorator:
     text = "Wanted relative noise of the references."
-    return click.option("--noise", default=default, show_default=True, callback=_check_noise, help=text)
+    return click.option("--noise", default=default, show_default=True, callback=check_noise, help=text)
 
 
 scene_argument = click.argument("scene", type=click.Path())
@@ -100,13 +100,15 @@ grouping_options = together(
 )
 
 
-def _check_width(_context: click.Context, _option: click.Parameter, width: int | None) -> int | None:
+def check_width(_context: click.Context, _option: click.Parameter, width: int | None) -> int | None:
+    """Raise UserError unless a picture of that width is sensible."""
     if width is not None and not 16 <= width <= 8192:
         raise UserError(f"width must be between 16 and 8192 pixels, not {width}")
     return width
 
 
-def _check_noise(_context: click.Context, _option: click.Parameter, noise: float) -> float:
+def check_noise(_context: click.Context, _option: click.Parameter, noise: float) -> float:
+    """Raise UserError unless references can be that exact."""
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
     return noise

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from slepian_prt.cli.messages import note
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     environment_option,
     grouping_options,
@@ -141,7 +141,7 @@ def _precompute(scene: str, output: str, settings: CompressionSettings, transpor
             f"a tolerance of {settings.asked:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}"
         )
     under = f" under light of {packed.prior}" if packed.prior else ""
-    click.echo(
+    say(
         f"{output}: {describe(packed)}, predicted error {error:.2g}{under}; {packed.rays_traced} rays in "
         f"{packed.seconds['transport']:.1f} s, compressed in {packed.seconds['compress']:.1f} s"
     )
