@@ -26,20 +26,24 @@ def together(*options: Decorator) -> Decorator:
 
 
 def output_option(what: str = "Where to write.") -> Decorator:
+    """Where results are written."""
     return click.option("-o", "--output", required=True, type=click.Path(), help=what)
 
 
 def environment_option(what: str) -> Decorator:
+    """Maps, any number of them."""
     text = f"{what}; may be given several times.  [default: the light of the .xml scene]"
     return click.option("--environment", multiple=True, type=click.Path(), help=text)
 
 
 def width_option(what: str, default: int) -> Decorator:
+    """Width of pictures, checked."""
     text = f"{what}, in pixels.  [default: that of the scene's camera, or {default}]"
     return click.option("--width", type=int, callback=check_width, help=text)
 
 
 def noise_option(default: float) -> Decorator:
+    """Noise of references, checked."""
     text = "Wanted relative noise of the references."
     return click.option("--noise", default=default, show_default=True, callback=check_noise, help=text)
 

@@ -111,6 +111,8 @@ def precompute(
     if Path(output).suffix.lower() != ".prt":
         raise UserError(f"{output}: transfer files end in .prt; name the output so")
     if aimed:
+        from slepian_prt.cli.goal import precompute_toward
+
         given = {
             name: options[name]
             for name in ("samples", "bandlimit")
@@ -118,8 +120,6 @@ def precompute(
         }
         goal = Goal(max_error, max_seconds, **given)
         goal.check()
-        from slepian_prt.cli.goal import precompute_toward
-
         precompute_toward(scene, output, goal, read_light(environment, light_prior), settings, transport, started)
     else:
         _precompute(scene, output, settings, transport)
