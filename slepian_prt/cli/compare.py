@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slepian_prt.cli.messages import say
 from slepian_prt.cli.options import (
     clamp_option,
     environment_option,
@@ -97,7 +98,7 @@ def compare(
         )
     page = write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), sweep)
     lights = f"{len(comparison.views)} environment{'s' if len(comparison.views) > 1 else ''}"
-    click.echo(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
+    say(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
 
 
 def _read_sweep(file: str, scene: str) -> Sweep:

@@ -6,9 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import click
-
-from slepian_prt.cli.messages import note
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.terminal import describe, print_plan, print_table, progress
 
 if TYPE_CHECKING:
@@ -46,7 +44,7 @@ def precompute_toward(
         )
     _print_verification(found, goal)
     found.packed.save(output)
-    click.echo(f"{output}: {describe(found.packed)}; {time.perf_counter() - started:.1f} s in all")
+    say(f"{output}: {describe(found.packed)}; {time.perf_counter() - started:.1f} s in all")
 
 
 def _print_choices(choices: Sequence[Choice], chosen: Choice, rest: float) -> None:
@@ -70,7 +68,7 @@ def _print_choices(choices: Sequence[Choice], chosen: Choice, rest: float) -> No
         ]
         for choice in sorted(choices, key=lambda c: c.seconds)
     ]
-    print_table(dict.fromkeys(headings, "right"), rows)
+    print_table(dict.fromkeys(headings, "right"), rows, spare=("compression", "transport", "error of transport"))
 
 
 def _print_verification(found: BudgetedResult, goal: Goal) -> None:
@@ -79,10 +77,10 @@ def _print_verification(found: BudgetedResult, goal: Goal) -> None:
         checked.names, checked.error, checked.predicted, checked.noise, strict=True
     ):
         shown = f"{error:.2%}" if error > noise else f"below the noise, {noise:.2%}"
-        click.echo(
+        say(
             f"verified on {checked.vertices} vertices held out, {name}: error {shown} (predicted {predicted:.2%}; "
             f"noise of the reference {noise:.2%})"
         )
-    click.echo(f"predicted {checked.predicted_seconds:.1f} s, took {checked.seconds:.1f} s")
+    say(f"predicted {checked.predicted_seconds:.1f} s, took {checked.seconds:.1f} s")
     if goal.error is not None and checked.error.max() > goal.error:
         note(f"the error is above the {goal.error:g} that was asked for")

@@ -26,22 +26,26 @@ def together(*options: Decorator) -> Decorator:
 
 
 def output_option(what: str = "Where to write.") -> Decorator:
+    """Where results are written."""
     return click.option("-o", "--output", required=True, type=click.Path(), help=what)
 
 
 def environment_option(what: str) -> Decorator:
+    """Maps, any number of them."""
     text = f"{what}; may be given several times.  [default: the light of the .xml scene]"
     return click.option("--environment", multiple=True, type=click.Path(), help=text)
 
 
 def width_option(what: str, default: int) -> Decorator:
+    """Width of pictures, checked."""
     text = f"{what}, in pixels.  [default: that of the scene's camera, or {default}]"
-    return click.option("--width", type=int, callback=_check_width, help=text)
+    return click.option("--width", type=int, callback=check_width, help=text)
 
 
 def noise_option(default: float) -> Decorator:
+    """Noise of references, checked."""
     text = "Wanted relative noise of the references."
-    return click.option("--noise", default=default, show_default=True, callback=_check_noise, help=text)
+    return click.option("--noise", default=default, show_default=True, callback=check_noise, help=text)
 
 
 scene_argument = click.argument("scene", type=click.Path())
@@ -100,13 +104,15 @@ grouping_options = together(
 )
 
 
-def _check_width(_context: click.Context, _option: click.Parameter, width: int | None) -> int | None:
+def check_width(_context: click.Context, _option: click.Parameter, width: int | None) -> int | None:
+    """Raise UserError unless a picture of that width is sensible."""
     if width is not None and not 16 <= width <= 8192:
         raise UserError(f"width must be between 16 and 8192 pixels, not {width}")
     return width
 
 
-def _check_noise(_context: click.Context, _option: click.Parameter, noise: float) -> float:
+def check_noise(_context: click.Context, _option: click.Parameter, noise: float) -> float:
+    """Raise UserError unless references can be that exact."""
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
     return noise

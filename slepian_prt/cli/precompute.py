@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from slepian_prt.cli.messages import note
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     environment_option,
     grouping_options,
@@ -111,6 +111,8 @@ def precompute(
     if Path(output).suffix.lower() != ".prt":
         raise UserError(f"{output}: transfer files end in .prt; name the output so")
     if aimed:
+        from slepian_prt.cli.goal import precompute_toward
+
         given = {
             name: options[name]
             for name in ("samples", "bandlimit")
@@ -118,8 +120,6 @@ def precompute(
         }
         goal = Goal(max_error, max_seconds, **given)
         goal.check()
-        from slepian_prt.cli.goal import precompute_toward
-
         precompute_toward(scene, output, goal, read_light(environment, light_prior), settings, transport, started)
     else:
         _precompute(scene, output, settings, transport)
@@ -140,7 +140,7 @@ def _precompute(scene: str, output: str, settings: CompressionSettings, transpor
     if not settings.by_number and error > 1.01 * wanted:
         note(f"a tolerance of {wanted:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}")
     under = f" under light of {packed.prior}" if packed.prior else ""
-    click.echo(
+    say(
         f"{output}: {describe(packed)}, predicted error {error:.2g}{under}; {packed.rays_traced} rays in "
         f"{packed.seconds['transport']:.1f} s, compressed in {packed.seconds['compress']:.1f} s"
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from slepian_prt.cli.messages import note
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     clamp_option,
     environment_option,
@@ -68,4 +68,4 @@ def relight(
     write_relit(output, packed, series, f".{kind}", width, note)
     shone = ", ".join(Path(path).name for path in environment) or "the light of the scene"
     several = f", {len(series.names)} results" if lights.several else ""
-    click.echo(f"{output}: {len(packed.mesh.positions)} vertices under {shone}{several}")
+    say(f"{output}: {len(packed.mesh.positions)} vertices under {shone}{several}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slepian_prt.cli.messages import note
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     albedo_option,
     clamp_option,
@@ -99,7 +99,7 @@ def sweep(
     for sentence in sweeping.findings(found):
         note(sentence)
     _print_front(found)
-    click.echo(f"{page}: {len(found.points)} settings")
+    say(f"{page}: {len(found.points)} settings")
 
 
 def _print_front(found: Sweep) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -16,6 +17,8 @@ from slepian_prt.cli.commands import with_flags
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
     from slepian_prt.transport.effects import Effect
+
+Side = Literal["left", "right"]
 
 
 class _Rate(ProgressColumn):
@@ -81,17 +84,36 @@ def describe(packed: CompressedTransfer) -> str:
     )
 
 
-def print_table(headings: Mapping[str, Literal["left", "right"]], rows: Iterable[Sequence[str]]) -> None:
-    """To standard output; in a pipe as wide as it needs."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading, side in headings.items():
-        table.add_column(heading, justify=side)
-    for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+def print_table(headings: Mapping[str, Side], rows: Sequence[Sequence[str]], *, spare: Sequence[str] = ()) -> None:
+    """To standard output; in a pipe as wide as it needs.
+
+    On a terminal that is too narrow, the columns ``spare`` are left out, from the first on, until the rest fits.
+    """
     console = Console()
     if not console.is_terminal:
         console = Console(width=200)
+    cells = dict(zip(headings, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(headings, ())
+    whole = {name: max(map(cell_len, [name, *cells[name]])) for name in headings}
+    # Numbers are not wrapped, headings only between words.
+    least = {
+        name: max(map(cell_len, [*name.split(), *(cells[name] if headings[name] == "right" else ())]), default=0)
+        for name in headings
+    }
+    for name in spare:
+        if _width(least) <= console.width:
+            break
+        del least[name]
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    fits = _width({name: whole[name] for name in least}) <= console.width
+    for name, width in least.items():
+        table.add_column(name, justify=headings[name], width=None if fits or headings[name] == "left" else width)
+    for row in zip(*(cells[name] for name in least), strict=True):
+        table.add_row(*map(Text, row))
     console.print(table)
+
+
+def _width(columns: Mapping[str, int]) -> int:
+    return sum(columns.values()) + 2 * (len(columns) - 1)
 
 
 def _rays(count: int) -> str:
