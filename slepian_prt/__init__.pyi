@@ -15,13 +15,13 @@ from .scene.mesh import Mesh as Mesh
 from .scene.mesh import make_mesh as make_mesh
 from .scene.mesh import read_mesh as read_mesh
 from .slepian.concentration import CapBasis as CapBasis
-from .slepian.concentration import RegionBasis as RegionBasis
 from .slepian.concentration import cap_basis as cap_basis
-from .slepian.concentration import region_basis as region_basis
 from .slepian.kernels import SecondMoment as SecondMoment
 from .slepian.kernels import cosine_lobe as cosine_lobe
 from .slepian.kernels import measured_moment as measured_moment
 from .slepian.kernels import zonal_coefficients as zonal_coefficients
+from .slepian.region_concentration import RegionBasis as RegionBasis
+from .slepian.region_concentration import region_basis as region_basis
 from .slepian.shannon import concentration_count as concentration_count
 from .slepian.shannon import generalized_shannon_number as generalized_shannon_number
 from .slepian.shannon import refined_shannon_number as refined_shannon_number

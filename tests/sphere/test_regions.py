@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slepian_prt.slepian.concentration import cap_basis, region_basis
+from slepian_prt.slepian.concentration import cap_basis
+from slepian_prt.slepian.region_concentration import region_basis
 from slepian_prt.sphere.caps import cap_area
 from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.sphere.quadrature import spherical_fibonacci
