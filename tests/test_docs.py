@@ -161,6 +161,16 @@ def test_public_names_are_listed():
     assert all(not name.startswith("_") for name in dir(sp))
 
 
+def test_the_tree_in_contributing_is_complete():
+    """Every module is named in the row of its folder."""
+    rows = dict(re.findall(r"^\| `?([\w/]*)`? \| (.*) \|$", (DOCS / "contributing.md").read_text(), re.MULTILINE))
+    for path in (ROOT / "slepian_prt").rglob("*.py"):
+        folder = path.parent.relative_to(ROOT / "slepian_prt").as_posix()
+        row = rows["slepian_prt/" if folder == "." else f"{folder}/"]
+        if not path.stem.startswith("__") and path.stem != "cli":
+            assert f"`{path.stem}`" in row, f"{path.relative_to(ROOT)} is not in the table of docs/contributing.md"
+
+
 def test_examples_are_shipped():
     assert sp.example() == sp.example("knot")
     for name in ("knot", "sky", "cornell", "glossy"):

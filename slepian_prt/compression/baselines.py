@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from slepian_prt.sphere.harmonics import real_sh
+from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
 
 _BLOCK = 4096
 
@@ -63,7 +63,7 @@ class HaarTransfer:
 def haar_transfer(vectors: NDArray, terms: int, albedo: NDArray) -> HaarTransfer:
     """Keep the ``terms`` largest Haar coefficients of each of (V, channels, (L+1)²) transfer vectors."""
     channels, size = vectors.shape[1:]
-    bandlimit = round(math.sqrt(size)) - 1
+    bandlimit = bandlimit_of(size)
     side = 1 << max(2, math.ceil(math.log2(bandlimit + 1)))
     directions, solid_angles = cube_texels(side)
     samples = real_sh(bandlimit, directions) * np.sqrt(solid_angles)[:, None]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.slepian.kernels import SecondMoment, measured_moment, zonal_vectors
-from slepian_prt.sphere.harmonics import degrees, real_sh
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees, real_sh
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 
 # Vertices of each occlusion class.
@@ -96,7 +96,7 @@ def learn(
     normals : (V, 3), optional
         If given, the mean transfer about them is taken off first, because the decoder can add it again.
     """
-    bandlimit = round(np.sqrt(vectors.shape[2])) - 1
+    bandlimit = bandlimit_of(vectors.shape[2])
     classes = clusters.occlusion_classes[clusters.index[vertices]]
     moments, energies, zonal = [], [], []
     for occlusion_class in range(int(clusters.occlusion_classes.max()) + 1):
