@@ -14,7 +14,7 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh, make_mesh
-from slepian_prt.transport.interreflection import Gather, bounced
+from slepian_prt.transport.interreflection import Gather, add_bounces
 from slepian_prt.transport.transfer import Transfer, precompute
 from tests.conftest import ROOT, inside_out, sphere
 from tests.numerics import assert_rounded
@@ -140,7 +140,7 @@ def test_bounces_hold_a_few_columns_at_a_time(monkeypatch, rng):
         expected += light
     tracemalloc.start()
     try:
-        total = bounced(gather, bowl.albedo * 0.7, direct, 1, 5)
+        total = add_bounces(gather, bowl.albedo * 0.7, direct, 1, 5)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
