@@ -45,6 +45,7 @@ def test_results_are_one_short_line(results):
         assert line.startswith(start)
         assert "\n" not in line
         assert len(line) < 200
+    assert "albedo='0.5, 0.5, 1'" in repr(sp.make_mesh(np.eye(3), [[0, 1, 2]], albedo=[0.5, 0.5, 1.0]))
     assert repr(sp.SecondMoment(1, (np.ones((2, 1)), np.ones((1, 1))))) == "SecondMoment(bandlimit=1, energy=4)"
 
 

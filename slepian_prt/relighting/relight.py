@@ -42,7 +42,7 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
         radiance = transfer_operator(transfer).apply(several)
     else:
         radiance = _apply_vectors(transfer.vectors, several.astype(np.float32))
-    albedo = transfer.mesh.albedo
+    albedo = transfer.mesh.receivers.albedo
     if not np.all(albedo == 1.0):
         radiance *= albedo
     return radiance if lights.ndim == 3 else radiance[0]

@@ -68,12 +68,13 @@ class Mesh:
 
     def _summary(self) -> dict[str, object]:
         low, high = self.albedo.min(axis=0), self.albedo.max(axis=0)
+        shown = low[:1] if np.all(low == low[0]) else low
         return {
             "name": self.name,
             "vertices": len(self.positions),
             "faces": len(self.faces),
             "size": " x ".join(f"{extent:.3g}" for extent in np.ptp(self.positions, axis=0)),
-            "albedo": "varies" if np.any(low != high) else ", ".join(f"{value:.3g}" for value in dict.fromkeys(low)),
+            "albedo": "varies" if np.any(low != high) else ", ".join(f"{value:.3g}" for value in shown),
             "notes": "; ".join(self.notes) or None,
         }
 
