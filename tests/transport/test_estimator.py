@@ -110,7 +110,7 @@ def test_blocks_of_all_estimators(view):
             # Products of other sizes round otherwise: sums of some tens of float32 numbers below one.
             np.testing.assert_allclose(block.vectors, whole.vectors[piece], atol=1e-5)
         assert whole.rays * 2 == estimator.rays
-        sizes = [size for size, in estimator.blocks(pieces, lambda block: (block.vertices.size,))]
+        sizes = [size for (size,) in estimator.blocks(pieces, lambda block: (block.vertices.size,))]
         assert sizes == [piece.size for piece in pieces]
         some = np.array([5, 3, count - 1])
         np.testing.assert_allclose(estimator.estimate(some).vectors, whole.vectors[some], atol=1e-5)
