@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,23 @@ class ReceivingShape:
     faces: NDArray[np.int64]
 
 
+class _Surface(NamedTuple):
+    """Triangles as they are given to Mitsuba.
+
+    Attributes
+    ----------
+    positions : (V, 3)
+    normals : (V, 3) or None
+    faces : (F, 3)
+    uv : (V, 2) or None
+    """
+
+    positions: NDArray
+    normals: NDArray | None
+    faces: NDArray
+    uv: NDArray | None
+
+
 def fewest_cuts(shapes: int) -> int:
     """Cuts along a shape that is not a mesh, at least: fewer where a scene has very many."""
     return max(12, min(_FEWEST_CUTS, round(_FEWEST_CUTS * math.sqrt(_MANY_SHAPES / max(shapes, 1)))))
@@ -65,22 +82,21 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, diagonal: float
     UserError
     """
     kind = shape.class_name()
-    normals: NDArray | None
-    uv: NDArray | None
     if kind in _PARAMETRIC:
-        positions, normals, faces, uv = _parametric(mi, shape, kind, origin, diagonal, fewest)
+        surface = _parametric(mi, shape, kind, origin, diagonal, fewest)
     elif not shape.is_mesh():
         return None
     else:
-        positions, normals, faces, uv = _vertices(mi, shape)
-        if kind == "Cube" and normals is not None and uv is not None:
-            positions, normals, faces, uv = _subdivided(positions, normals, faces, uv, diagonal, fewest)
-        elif len(positions) < _COARSE:
+        surface = _of_mesh(mi, shape)
+        if kind == "Cube":
+            surface = _subdivided(surface, diagonal, fewest)
+        elif len(surface.positions) < _COARSE:
             log.info(
                 "%s has only %d vertices; light is computed at vertices, so subdivide it to see shadows on it",
                 origin,
-                len(positions),
+                len(surface.positions),
             )
+    positions, normals, faces, uv = surface
     replaced = kind in _PARAMETRIC or kind == "Cube"
     if replaced and normals is not None:
         faces = _along_normals(positions, normals, faces)  # a mirroring to_world turns them
@@ -171,8 +187,8 @@ def _is_flipped(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None
     return float(np.array(hit.n).ravel() @ towards) < 0.0
 
 
-def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
-    """Positions, normals, faces and texture coordinates of a Mitsuba mesh."""
+def _of_mesh(mi: Any, shape: Any) -> _Surface:
+    """What a Mitsuba mesh holds."""
     import drjit as dr
 
     vertex, face = dr.arange(mi.UInt32, shape.vertex_count()), dr.arange(mi.UInt32, shape.face_count())
@@ -180,7 +196,7 @@ def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, ND
     faces = np.array(shape.face_indices(face), dtype=np.int64).T
     normals = np.array(shape.vertex_normal(vertex), dtype=np.float64).T if shape.has_vertex_normals() else None
     uv = np.array(shape.vertex_texcoord(vertex), dtype=np.float32).T if shape.has_vertex_texcoords() else None
-    return positions, normals, faces, uv
+    return _Surface(positions, normals, faces, uv)
 
 
 # --- Shapes with a formula -------------------------------------------------------------------------------------------
@@ -212,9 +228,7 @@ def _on_cylinder(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
 _PARAMETRIC = {"Sphere": _on_sphere, "Rectangle": _on_rectangle, "Disk": _on_disk, "Cylinder": _on_cylinder}
 
 
-def _parametric(
-    mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fewest: int
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def _parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fewest: int) -> _Surface:
     """A grid over the shape's own parameters, so that textures stay where they are."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     linear, offset = matrix[:3, :3], matrix[:3, 3]
@@ -240,17 +254,18 @@ def _parametric(
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     faces = faces[area > 1e-4 * area.max()]  # at the poles triangles have no area but for rounding
     used, faces = np.unique(faces, return_inverse=True)  # a pole needs fewer vertices than the grid has there
-    return positions[used], normals[used], faces.reshape(-1, 3), uv[used]
+    return _Surface(positions[used], normals[used], faces.reshape(-1, 3), uv[used])
 
 
 def _cuts(length: float, diagonal: float, fewest: int) -> int:
     return int(np.clip(math.ceil(min(length / max(_FACE_SIZE * diagonal, 1e-300), 1e6)), fewest, _MOST_CUTS))
 
 
-def _subdivided(
-    positions: NDArray, normals: NDArray, faces: NDArray, uv: NDArray, diagonal: float, fewest: int
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def _subdivided(surface: _Surface, diagonal: float, fewest: int) -> _Surface:
     """Every triangle cut into n² by interpolation; corners that were apart (hard edges) stay apart."""
+    positions, normals, faces, uv = surface
+    if normals is None or uv is None:
+        return surface
     corner = positions[faces]
     longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
     n = max(2, math.ceil(_cuts(longest, diagonal, fewest) / 2))
@@ -273,4 +288,4 @@ def _subdivided(
         np.round(np.concatenate([in_box, *parts[1:]], axis=1), 5), axis=0, return_index=True, return_inverse=True
     )
     cut = (np.arange(len(faces))[:, None, None] * i.size + pattern).reshape(-1, 3)
-    return parts[0][first], parts[1][first], which.ravel()[cut], parts[2][first]
+    return _Surface(parts[0][first], parts[1][first], which.ravel()[cut], parts[2][first])

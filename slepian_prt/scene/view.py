@@ -33,6 +33,7 @@ class View:
     far: float
 
     def as_dict(self) -> dict[str, Any]:
+        """The attributes by name, for files."""
         return asdict(self)
 
 

@@ -25,7 +25,7 @@ from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.effects import SIMULATED, Plan
 from slepian_prt.transport.estimator import Estimator, TransferBlock, cut_pieces, receivers_per_block
-from slepian_prt.transport.hemisphere import turned_frames
+from slepian_prt.transport.hemisphere import turned_frames, upload_frames
 from slepian_prt.transport.settings import TransportSettings
 
 _RAYS_PER_BLOCK = 1 << 19
@@ -147,16 +147,10 @@ class ViewTransfer(Estimator[_ViewSamples]):
         mi, half = self._mi, self._half
         if vertices.size == 0:
             return np.zeros((0, 3, half), dtype=np.float32)
-        frames = self._frames(vertices, number)
-        x, y, z = (mi.Vector3f(frames[:, :, axis].T.astype(np.float32)) for axis in range(3))
         lane = dr.arange(mi.UInt32, vertices.size * half)
         place = lane // dr.opaque(mi.UInt32, half)
         local = dr.gather(mi.Vector3f, self._sets[number], lane - place * dr.opaque(mi.UInt32, half))
-        outward = (
-            dr.gather(mi.Vector3f, x, place) * local.x
-            + dr.gather(mi.Vector3f, y, place) * local.y
-            + dr.gather(mi.Vector3f, z, place) * local.z
-        )
+        outward = upload_frames(mi, self._frames(vertices, number))(place, local)
         above = dr.dot(self._gathered(self.scene.receivers.normals, vertices, place), outward)
         alive = above > 0.0
         if self._shadows:
@@ -193,12 +187,12 @@ class _ReceiverBSDFs:
         self.shapes = scene.shapes[: len(scene.parts)]
         self.points = []
         for part, shape, first_face in zip(scene.parts, self.shapes, scene.first_faces, strict=False):
-            own = slice(part.first, part.first + part.count)
+            vertices = slice(part.first, part.first + part.count)
             last = first_face + shape.face_count()
             faces = scene.faces[first_face:last] - part.first
-            positions, normals = scene.traced_positions[own], scene.receivers.normals[own]
+            positions, normals = scene.traced_positions[vertices], scene.receivers.normals[vertices]
             point = surface_points(mi, shape, positions, normals, faces)
-            point.wi = point.sh_frame.to_local(mi.Vector3f(toward[own].T.astype(np.float32)))
+            point.wi = point.sh_frame.to_local(mi.Vector3f(toward[vertices].T.astype(np.float32)))
             self.points.append(point)
 
     def part_of(self, vertices: NDArray) -> NDArray[np.int64]:

@@ -45,17 +45,12 @@ class HemisphereRays:
 
         mi = self.mi
         origin = mi.Point3f(self._origins[vertices].T.astype(np.float32))
-        x, y, z = (mi.Vector3f(frames[:, :, axis].T.astype(np.float32)) for axis in range(3))
+        to_world = upload_frames(mi, frames)
 
         def rays(place: Any, direction: Any) -> Any:
             self.rays += dr.width(place)
             local = dr.gather(mi.Vector3f, self._vectors, direction)
-            outward = (
-                dr.gather(mi.Vector3f, x, place) * local.x
-                + dr.gather(mi.Vector3f, y, place) * local.y
-                + dr.gather(mi.Vector3f, z, place) * local.z
-            )
-            return mi.Ray3f(dr.gather(mi.Point3f, origin, place), outward)
+            return mi.Ray3f(dr.gather(mi.Point3f, origin, place), to_world(place, local))
 
         return rays
 
@@ -67,6 +62,22 @@ class HemisphereRays:
         lane = dr.arange(self.mi.UInt32, count * self.directions.size)
         place = lane // size
         return place, lane - place * size
+
+
+def upload_frames(mi: Any, frames: NDArray) -> Callable[[Any, Any], Any]:
+    """Give Mitsuba rotations (n, 3, 3); returns a function that rotates vectors, each by the frame of its place."""
+    import drjit as dr
+
+    x, y, z = (mi.Vector3f(frames[:, :, axis].T.astype(np.float32)) for axis in range(3))
+
+    def to_world(place: Any, local: Any) -> Any:
+        return (
+            dr.gather(mi.Vector3f, x, place) * local.x
+            + dr.gather(mi.Vector3f, y, place) * local.y
+            + dr.gather(mi.Vector3f, z, place) * local.z
+        )
+
+    return to_world
 
 
 def turned_frames(axes: NDArray, turns: NDArray) -> NDArray[np.float64]:

@@ -30,7 +30,11 @@ class Transfer:
     vectors : (V, channels, (L+1)²) float32
         Real SH coefficients of the transfer function, for unit albedo of the receiver. One channel stands for all
         three where surfaces do not tint each other's light.
+    axes : (V, 3) float64
+        What transport is concentrated about: the normals, or toward a view the reflection directions. Zero at
+        vertices without transfer.
     mesh : Mesh
+        Its vertices are the receivers. Of unit albedo if the reflectance is in ``vectors``.
     parts : tuple of Part
     bandlimit, samples, seed : int
     effects : tuple of Effect
@@ -47,12 +51,10 @@ class Transfer:
         The scene's camera.
     toward_view : bool
         Whether ``vectors`` hold the light that all materials send toward that camera, reflectance included.
-    axes : (V, 3)
-        What transport is concentrated about: the normals, or toward a view the reflection directions. Zero at
-        vertices without transfer.
     """
 
     vectors: NDArray[np.float32]
+    axes: NDArray[np.float64]
     mesh: Mesh
     parts: tuple[Part, ...]
     bandlimit: int
@@ -66,11 +68,6 @@ class Transfer:
     environment: Environment | None = None
     view: View | None = None
     toward_view: bool = False
-    axes: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
-
-    def __post_init__(self) -> None:
-        if len(self.axes) != len(self.mesh.normals):
-            object.__setattr__(self, "axes", self.mesh.normals)
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -173,6 +170,7 @@ def compute_transfer(
         mesh = replace(mesh, albedo=np.ones_like(mesh.albedo))  # the reflectance is in the vectors
     return Transfer(
         vectors=vectors,
+        axes=estimator.axes,
         mesh=mesh,
         parts=scene.parts,
         bandlimit=settings.bandlimit,
@@ -186,5 +184,4 @@ def compute_transfer(
         environment=scene.environment,
         view=scene.view,
         toward_view=plan.view is not None,
-        axes=estimator.axes,
     )
