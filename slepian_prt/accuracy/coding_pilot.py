@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.accuracy.error_metric import ErrorMetric
 from slepian_prt.accuracy.transport_pilot import TransportTrial
 from slepian_prt.compression.checkpoint import MemoryStore
 from slepian_prt.compression.clustering import Clusters
@@ -18,6 +17,7 @@ from slepian_prt.compression.encoder import Encoder, Trial, WarmStart
 from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.pilot import pilot_vertices
 from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.evaluation.vertex_error import ErrorMetric
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.scene.receivers import morton
 from slepian_prt.transport.planned import PlannedScene
@@ -184,8 +184,8 @@ class CodingPilot:
             rows = np.searchsorted(self._vertices, self._parts.members[c])
             vectors = work.of_clusters(self._parts).reconstructed(c, coefficients)
             off[rows, :, : vectors.shape[2]] = vectors - self._vectors[rows]
-        own = self._yardstick.product(off, off)
-        both = self._yardstick.product(off, self._apart)
+        own = self._yardstick.inner_product(off, off)
+        both = self._yardstick.inner_product(off, self._apart)
         return np.asarray(found * np.clip(1.0 + 2.0 * both / np.maximum(own, 1e-300), _LEAST_ADDED, 1.0))
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.accuracy.coding_pilot import CodingPilot
-from slepian_prt.accuracy.error_metric import ErrorMetric, MapMetric, SpectrumMetric
 from slepian_prt.accuracy.goal import Goal
 from slepian_prt.accuracy.search import Choice, Chooser
 from slepian_prt.accuracy.transport_pilot import (
@@ -29,6 +28,7 @@ from slepian_prt.compression.grouping import Grouping, group_transfer, surveyed
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compressed, streamed
 from slepian_prt.errors import UserError
+from slepian_prt.evaluation.vertex_error import ErrorMetric, MapMetric, SpectrumMetric
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior, falling_prior, measured_prior
@@ -241,8 +241,8 @@ class _Task:
         if repeat == 0:
             chosen, held_out = map(self._open, pilot_vertices(self.planned, self.planned.settings.seed, size))
             self._known = self._measure(np.concatenate([chosen, held_out]))
-            self.yardstick = self._known.part(slice(chosen.size))
-            self.held_out = self._known.part(slice(chosen.size, None))
+            self.yardstick = self._known.subset(slice(chosen.size))
+            self.held_out = self._known.subset(slice(chosen.size, None))
         else:
             # What has been looked at is known now; others are held out.
             self.yardstick = self._known
@@ -347,6 +347,4 @@ class _Task:
 
 def _errors(yardstick: ErrorMetric, packed: CompressedTransfer) -> NDArray[np.float64]:
     """(lights,) squared relative errors of compressed transfer."""
-    vectors = packed.reconstruct(yardstick.vertices)
-    found = yardstick.errors(vectors[:, None, :] if vectors.ndim == 2 else vectors)
-    return found.squared[packed.bandlimit]
+    return yardstick.errors(packed.reconstruct(yardstick.vertices)).squared[packed.bandlimit]

@@ -172,7 +172,7 @@ class Chooser:
     def _measured(self, samples: int, bandlimit: int, wanted: float, safe: float) -> Choice | None:
         """A contender with the coarsest tolerance that meets ``wanted``, or None if there is no room for it."""
         look = self._transport.look(samples, bandlimit)
-        rest = _rest(look.error.squared[bandlimit], look.error.deviation[bandlimit], wanted, safe)
+        rest = _rest(look.error.squared[bandlimit], look.error.standard_error[bandlimit], wanted, safe)
         return None if np.any(rest < (_LEAST_FOR_CODING * wanted) ** 2) else self._completed(look, rest)
 
     def _room(self, samples: int, bandlimit: int, wanted: float, safe: float) -> bool:
@@ -182,7 +182,7 @@ class Chooser:
         return bool(np.all(rest >= (_LEAST_FOR_CODING * wanted) ** 2))
 
     def _completed(self, look: TransportTrial, rest: NDArray) -> Choice:
-        squared, deviation = look.error.squared[look.bandlimit], look.error.deviation[look.bandlimit]
+        squared, deviation = look.error.squared[look.bandlimit], look.error.standard_error[look.bandlimit]
         if look.transfer is not None and look.transfer.bandlimit > look.bandlimit:
             look = look.cut(look.bandlimit)
         coded = self._coding(look).within(rest)

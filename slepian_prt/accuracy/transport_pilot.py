@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.accuracy.error_metric import Error, ErrorMetric
+from slepian_prt.evaluation.vertex_error import ErrorMetric, VertexError
 from slepian_prt.scene.receivers import morton
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.direct import DirectTransfer
@@ -59,7 +59,7 @@ class TransportTrial:
     Attributes
     ----------
     samples, bandlimit : int
-    error : Error
+    error : VertexError
         At every bandlimit up to that.
     noise : (L+1, lights) or None
         What other turns about the normals would change of the squared errors.
@@ -73,7 +73,7 @@ class TransportTrial:
 
     samples: int
     bandlimit: int
-    error: Error
+    error: VertexError
     noise: NDArray[np.float64] | None
     seconds: float
     source: DirectTransfer | None
@@ -84,7 +84,7 @@ class TransportTrial:
         assert self.transfer is not None
         size = num_coefficients(bandlimit)
         vectors = np.ascontiguousarray(self.transfer.vectors[:, :, :size])
-        error = Error(*(part[: bandlimit + 1] for part in self.error))
+        error = VertexError(*(part[: bandlimit + 1] for part in self.error))
         transfer = replace(self.transfer, vectors=vectors, bandlimit=bandlimit)
         return replace(self, bandlimit=bandlimit, error=error, transfer=transfer)
 
@@ -176,7 +176,7 @@ class TransportPilot:
         own, noise = vectors[: chosen.size], None
         if twice:
             other = replace(source, seed=planned.settings.seed + 1).estimate(chosen).vectors
-            noise = 0.5 * self.yardstick.apart(own, other)
+            noise = 0.5 * self.yardstick.squared_difference(own, other)
         return TransportTrial(samples, bandlimit, self.yardstick.errors(own), noise, seconds + prepared - begin, source)
 
     def _whole(self, samples: int, bandlimit: int) -> TransportTrial:
@@ -308,7 +308,7 @@ class TransportPilot:
         """(lights,) relative standard errors of the error, as of the look that is nearest."""
         reaching = [look for look in self._looks.values() if look.bandlimit >= bandlimit] or [self._finest]
         nearest = min(reaching, key=lambda look: abs(math.log(look.samples / samples)))
-        return nearest.error.deviation[min(bandlimit, nearest.bandlimit)]
+        return nearest.error.standard_error[min(bandlimit, nearest.bandlimit)]
 
     def feasible(self, target: float, seconds: float = math.inf) -> list[tuple[int, int]]:
         """Combinations (rays, bandlimit) whose error is foreseen to be at most ``target`` under every light."""

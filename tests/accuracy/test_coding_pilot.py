@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from slepian_prt.accuracy.coding_pilot import CodingPilot
-from slepian_prt.accuracy.error_metric import MapMetric
 from slepian_prt.accuracy.transport_pilot import SAMPLES, TransportPilot, pilot_vertices
 from slepian_prt.compression.encoder import Encoder
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
+from slepian_prt.evaluation.vertex_error import MapMetric
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import measured_prior
