@@ -30,8 +30,9 @@ def returned(x: np.ndarray, surface, step: float, *, turn: bool | None = False) 
     """Encode and decode; the decoder must have just what the encoder thought."""
     tuning = codec.tune([(x, surface)], step**2 / 12.0 * x.size)
     tuning = codec.Tuning(step, tuning.shrink, tuning.models)
-    coded = codec.encode_cap(x, surface, tuning, turn=turn)
+    coded = codec.encode_cap(x, surface, tuning, turn=turn, keep=True)
     decoded = codec.decode_cap(coded.words, x.shape[1], surface, tuning)
+    assert_exact(decoded.multiples, coded.decoded.multiples, because="integers")
     values = decoded.multiples * (step / codec.PARTS)
     if decoded.axes is not None:
         values = values @ decoded.axes
