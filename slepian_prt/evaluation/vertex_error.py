@@ -146,13 +146,13 @@ class MapMetric:
                 noise=noise,
                 largest_samples=largest_samples,
                 bounces=most if planned.plan.interreflection else 0,
-                view=planned.toward,
+                view=planned.plan.view,
                 seed=1 + int(vertices[0]) if seed is None else seed,
                 vertices=vertices,
             )
             for environment in environments
         )
-        albedo = np.ones((len(vertices), 3)) if planned.toward is not None else planned.scene.mesh.albedo[vertices]
+        albedo = np.ones((len(vertices), 3)) if planned.plan.view is not None else planned.scene.mesh.albedo[vertices]
         names = tuple(environment.name for environment in environments)
         lighting = tuple(project_environment(environment, bandlimit) for environment in environments)
         return cls(names, lighting, vertices, references, albedo.astype(np.float64))

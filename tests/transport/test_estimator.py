@@ -10,6 +10,7 @@ from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import compute_transfer
 from tests.conftest import ROOT, bumpy
+from tests.numerics import assert_exact
 
 
 class Broken(Exception):
@@ -102,10 +103,10 @@ def test_blocks_of_all_estimators(view):
         estimator = planned.estimator()
         pieces = estimator.pieces()
         count = len(planned.scene.receivers)
-        np.testing.assert_array_equal(np.sort(np.concatenate(pieces)), np.arange(count))
+        assert_exact(np.sort(np.concatenate(pieces)), np.arange(count), because="integers")
         whole = estimator.estimate()
         for piece, block in zip(pieces, estimator.blocks(pieces), strict=True):
-            np.testing.assert_array_equal(block.vertices, piece)
+            assert_exact(block.vertices, piece, because="integers")
             assert block.vectors.shape == (piece.size, estimator.channels, 16)
             # Products of other sizes round otherwise: sums of some tens of float32 numbers below one.
             np.testing.assert_allclose(block.vectors, whole.vectors[piece], atol=1e-5)
@@ -116,4 +117,4 @@ def test_blocks_of_all_estimators(view):
         np.testing.assert_allclose(estimator.estimate(some).vectors, whole.vectors[some], atol=1e-5)
         assert estimator.estimate(some[:0]).vectors.shape == (0, estimator.channels, 16)
         transfer = compute_transfer(planned)
-    np.testing.assert_array_equal(transfer.axes, estimator.axes)
+    assert_exact(transfer.axes, estimator.axes, because="a copy")
