@@ -14,7 +14,7 @@ def summary_line(name: str, entries: Mapping[str, object]) -> str:
     name : of the class
     entries : mapping of str to str, int, float or bool
     """
-    shown = (f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value!r}" for key, value in _said(entries))
+    shown = (f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value!r}" for key, value in _known(entries))
     return f"{name}({', '.join(shown)})"
 
 
@@ -23,12 +23,25 @@ def summary_table(name: str, entries: Mapping[str, object]) -> str:
     rows = "".join(
         f'<tr><th style="text-align:left">{html.escape(key.replace("_", " "))}</th>'
         f'<td style="text-align:left">{html.escape(_cell(value))}</td></tr>'
-        for key, value in _said(entries)
+        for key, value in _known(entries)
     )
     return f"<table><caption>{html.escape(name)}</caption><tbody>{rows}</tbody></table>"
 
 
-def _said(entries: Mapping[str, object]) -> list[tuple[str, object]]:
+class Summarised:
+    """A result that prints as its `_summary`; for dataclasses with ``repr=False``."""
+
+    def _summary(self) -> Mapping[str, object]:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return summary_line(type(self).__name__, self._summary())
+
+    def _repr_html_(self) -> str:
+        return summary_table(type(self).__name__, self._summary())
+
+
+def _known(entries: Mapping[str, object]) -> list[tuple[str, object]]:
     return [(key, value) for key, value in entries.items() if value is not None]
 
 

@@ -32,6 +32,10 @@ def results():
         ).rotated(90.0),
         "Transfer(source='ball', vertices=162, bandlimit=3, channels=1, samples=16, effects='none', bounces=0, "
         "rays_traced=0, seconds=": sp.precompute(ball, bandlimit=3, samples=16, effects="none"),
+        "CompressedTransfer(source='ball', vertices=162, bandlimit=3, channels=1, basis='sh', terms=4, caps=96, "
+        "coding='float16', bytes_per_vertex=": sp.compress(
+            sp.precompute(ball, bandlimit=3, samples=16), "sh", terms=4, coding="float16"
+        ),
         "CapBasis(bandlimit=3, half_angle=0.5, center='0, 0, 1', functions='4 of 16', eigenvalues='": sp.cap_basis(
             3, 0.5, terms=4
         ),
@@ -44,7 +48,7 @@ def test_results_are_one_short_line(results):
         line = repr(result)
         assert line.startswith(start)
         assert "\n" not in line
-        assert len(line) < 200
+        assert len(line) < 250
     assert "albedo='0.5, 0.5, 1'" in repr(sp.make_mesh(np.eye(3), [[0, 1, 2]], albedo=[0.5, 0.5, 1.0]))
     assert repr(sp.SecondMoment(1, (np.ones((2, 1)), np.ones((1, 1))))) == "SecondMoment(bandlimit=1, energy=4)"
 

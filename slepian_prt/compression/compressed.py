@@ -18,11 +18,12 @@ from slepian_prt.lighting.spectrum import falling_prior, light_power
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
+from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import Effect
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CompressedTransfer:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class CompressedTransfer(Summarised):
     """Everything needed to relight a scene.
 
     Attributes
@@ -156,9 +157,20 @@ class CompressedTransfer:
 
         save(self, path)
 
-    def __repr__(self) -> str:
-        return (
-            f"CompressedTransfer({self.mesh.name!r}: {len(self.mesh.positions)} vertices, L = {self.bandlimit}, "
-            f"{self.basis}, {self.terms:.4g} functions in {len(self.bases)} caps, {self.bytes_per_vertex:.3g} bytes "
-            f"per vertex, predicted error {self.predicted_error:.2g})"
-        )
+    def _summary(self) -> dict[str, object]:
+        verified = ", ".join(f"{light} {error:.2g}" for light, error in self.verified.items())
+        return {
+            "source": self.source or self.mesh.name,
+            "vertices": len(self.mesh.positions),
+            "bandlimit": self.bandlimit,
+            "channels": self.channels,
+            "basis": self.basis,
+            "terms": float(self.terms),
+            "caps": len(self.bases),
+            "coding": self.coding,
+            "bytes_per_vertex": self.bytes_per_vertex,
+            "predicted_error": self.predicted_error,
+            "light_prior": self.prior or None,
+            "verified_error": verified or None,
+            "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
+        }

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.map_files import Checked, Rows, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import resampled
-from slepian_prt.summary import summary_line, summary_table
+from slepian_prt.summary import Summarised
 
 
-@dataclass(frozen=True)
-class Environment:
+@dataclass(frozen=True, repr=False)
+class Environment(Summarised):
     """A distant light: radiance by direction, on a latitude-longitude grid.
 
     Attributes
@@ -39,12 +39,6 @@ class Environment:
     def rotated(self, degrees: float) -> Environment:
         """Turned counter-clockwise about the world's up axis y."""
         return replace(self, to_world=about_up(degrees) @ self.to_world)
-
-    def __repr__(self) -> str:
-        return summary_line("Environment", self._summary())
-
-    def _repr_html_(self) -> str:
-        return summary_table("Environment", self._summary())
 
     def _summary(self) -> dict[str, object]:
         angle = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(self.to_world)) - 1.0) / 2.0))))

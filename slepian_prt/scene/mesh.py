@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.receivers import Receivers
-from slepian_prt.summary import summary_line, summary_table
+from slepian_prt.summary import Summarised
 
 log = logging.getLogger(__name__)
 
@@ -31,8 +31,8 @@ _DEGENERATE = 1e-20
 _TWISTED = 0.01
 
 
-@dataclass(frozen=True)
-class Mesh:
+@dataclass(frozen=True, repr=False)
+class Mesh(Summarised):
     """A triangle mesh with a normal and an albedo at each vertex.
 
     Attributes
@@ -59,12 +59,6 @@ class Mesh:
     def receivers(self) -> Receivers:
         """The vertices; those that no face uses receive no light."""
         return Receivers(self.positions, self.normals, self.albedo, edges(self.faces))
-
-    def __repr__(self) -> str:
-        return summary_line("Mesh", self._summary())
-
-    def _repr_html_(self) -> str:
-        return summary_table("Mesh", self._summary())
 
     def _summary(self) -> dict[str, object]:
         low, high = self.albedo.min(axis=0), self.albedo.max(axis=0)

@@ -21,7 +21,7 @@ from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
-from slepian_prt.summary import summary_line, summary_table
+from slepian_prt.summary import Summarised
 
 # Eigenvalues below this part of the largest are rounding; their eigenvectors are chosen by the second criterion.
 _NULL = 1e-28
@@ -30,8 +30,8 @@ _NULL = 1e-28
 _SMOOTH = 34.0
 
 
-@dataclass(frozen=True)
-class CapBasis:
+@dataclass(frozen=True, repr=False)
+class CapBasis(Summarised):
     """Functions concentrated in a cap, strongest first.
 
     Attributes
@@ -80,12 +80,6 @@ class CapBasis:
     def in_cap_frame(self) -> NDArray[np.float64]:
         """(K, (L+1)²): SH coefficients in the cap's own frame, one row per function."""
         return scatter_radial(self.radial, self.orders)
-
-    def __repr__(self) -> str:
-        return summary_line("CapBasis", self._summary())
-
-    def _repr_html_(self) -> str:
-        return summary_table("CapBasis", self._summary())
 
     def _summary(self) -> dict[str, object]:
         return {

@@ -11,11 +11,11 @@ from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.slepian.concentration import summarise_functions
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.regions import Region
-from slepian_prt.summary import summary_line, summary_table
+from slepian_prt.summary import Summarised
 
 
-@dataclass(frozen=True)
-class RegionBasis:
+@dataclass(frozen=True, repr=False)
+class RegionBasis(Summarised):
     """Slepian functions of a region of any shape, most concentrated first.
 
     Attributes
@@ -34,12 +34,6 @@ class RegionBasis:
 
     def __len__(self) -> int:
         return self.eigenvalues.size
-
-    def __repr__(self) -> str:
-        return summary_line("RegionBasis", self._summary())
-
-    def _repr_html_(self) -> str:
-        return summary_table("RegionBasis", self._summary())
 
     def _summary(self) -> dict[str, object]:
         return {"bandlimit": self.bandlimit, **summarise_functions(self.bandlimit, self.eigenvalues)}

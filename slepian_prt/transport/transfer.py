@@ -13,7 +13,8 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
-from slepian_prt.transport.effects import Effect
+from slepian_prt.summary import Summarised
+from slepian_prt.transport.effects import SIMULATED, Effect
 from slepian_prt.transport.glossy import merge_equal_channels
 from slepian_prt.transport.interior import find_interior
 from slepian_prt.transport.interreflection import GATHER_SHARE, add_bounces, count_bounces, gather_operator
@@ -21,8 +22,8 @@ from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 
 
-@dataclass(frozen=True)
-class Transfer:
+@dataclass(frozen=True, repr=False)
+class Transfer(Summarised):
     """How distant light becomes radiance at each vertex, before the albedo.
 
     Attributes
@@ -78,6 +79,21 @@ class Transfer:
     def normals(self) -> NDArray[np.float64]:
         """(V, 3) unit normals, zero at vertices that no face uses."""
         return self.mesh.normals
+
+    def _summary(self) -> dict[str, object]:
+        return {
+            "source": self.source or self.mesh.name,
+            "vertices": len(self.vectors),
+            "bandlimit": self.bandlimit,
+            "channels": self.vectors.shape[1],
+            "samples": self.samples,
+            "effects": ", ".join(effect.name for effect in self.effects if effect.verdict == SIMULATED) or "none",
+            "bounces": self.bounces,
+            "rays_traced": self.rays_traced,
+            "seconds": sum(self.seconds.values()),
+            "environment": None if self.environment is None else self.environment.name,
+            "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
+        }
 
 
 def precompute(
