@@ -41,6 +41,7 @@ def true_error(mesh, packed, environment=SKY) -> float:
     return float(np.sqrt(max(relative_rms(radiance, reference.radiance) ** 2 - reference.noise**2, 0.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", [0.15, 0.04])
 def test_an_error_is_met_as_foreseen(wanted):
     mesh, told = bumpy(5), []
@@ -64,6 +65,7 @@ def test_an_error_is_met_as_foreseen(wanted):
     assert any(effect.name == f"degrees above {packed.bandlimit}" for effect in told[1])
 
 
+@pytest.mark.slow
 def test_several_lights_are_all_met():
     light = Light((SKY, replace(HARSH, name="harsh")))
     found = precompute_within(bumpy(5), Goal(error=0.12), light, FEW, Job())
@@ -73,6 +75,7 @@ def test_several_lights_are_all_met():
     assert found.verification.error[1] > found.verification.error[0]
 
 
+@pytest.mark.slow
 def test_a_spectrum_instead_of_maps():
     """Light of which only the spectrum is known: the error is the mean over such light."""
     mesh = bumpy(5)
@@ -91,6 +94,7 @@ def test_a_spectrum_instead_of_maps():
     assert found.verification.error[0] == pytest.approx(brute, rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_met_is_refused_with_the_best():
     """A bandlimit that is given leaves too much; what is said to be left is left."""
     mesh = bumpy(5)
@@ -106,6 +110,7 @@ def test_what_cannot_be_met_is_refused_with_the_best():
     assert found.packed.bandlimit == 3
 
 
+@pytest.mark.slow
 def test_too_few_rays_are_named():
     with pytest.raises(UserError, match="64 rays per vertex leave 0"):
         precompute_within(bumpy(5), Goal(error=0.004, samples=64), LIGHT, FEW, Job())
@@ -134,6 +139,7 @@ def pretended(monkeypatch):
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
 
 
+@pytest.mark.slow
 def test_a_time_gives_the_most_exact_that_keeps_it(pretended):
     loose, ample = (precompute_within(bumpy(5), Goal(seconds=seconds), LIGHT, FEW, Job()) for seconds in (1.0, 2.0))
     assert ample.verification.error[0] < 0.8 * loose.verification.error[0]
@@ -143,6 +149,7 @@ def test_a_time_gives_the_most_exact_that_keeps_it(pretended):
         precompute_within(bumpy(5), Goal(seconds=0.01), LIGHT, FEW, Job())
 
 
+@pytest.mark.slow
 def test_an_error_and_a_time(pretended):
     """The error counts if there is time for it; else the time does."""
     found = precompute_within(bumpy(5), Goal(error=0.1, seconds=1.0), LIGHT, FEW, Job())
@@ -151,6 +158,7 @@ def test_an_error_and_a_time(pretended):
         precompute_within(bumpy(5), Goal(error=0.1, seconds=0.1), LIGHT, FEW, Job())
 
 
+@pytest.mark.slow
 def test_interreflection_is_measured_with_its_bounces():
     found = precompute_within(
         ROOT / "scenes" / "cornell.xml", Goal(error=0.1), Light((SKY,)), Settings(clusters=16), Job()
@@ -160,6 +168,7 @@ def test_interreflection_is_measured_with_its_bounces():
     assert found.verification.error[0] == pytest.approx(found.verification.predicted[0], rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_scene_is_measured_in_its_own_light():
     found = precompute_within(ROOT / "scenes" / "cornell.xml", Goal(error=0.2), Light(), FEW, Job(effects="direct"))
     assert found.verification.error[0] <= 0.2
@@ -167,6 +176,7 @@ def test_a_scene_is_measured_in_its_own_light():
         precompute_within(bumpy(2), Goal(error=0.2), Light(), FEW, Job())
 
 
+@pytest.mark.slow
 def test_if_it_was_not_met_it_is_done_again(monkeypatch):
     """A pilot that is too hopeful is found out on the vertices held out."""
     original = run.CodingPilot.within
@@ -182,6 +192,7 @@ def test_if_it_was_not_met_it_is_done_again(monkeypatch):
     assert found.verification.error[0] <= 0.05
 
 
+@pytest.mark.slow
 def test_nothing_more_to_hold_out():
     """On a mesh that the pilot has seen whole, a miss is told, and is no error."""
     mesh = bumpy(1)
@@ -189,6 +200,7 @@ def test_nothing_more_to_hold_out():
     assert found.verification.vertices == len(mesh.positions) // 2
 
 
+@pytest.mark.slow
 def test_vertices_inside_others_do_not_count():
     """Under light of a spectrum too: they borrow, where the reference is dark."""
     mesh = bumpy(4)
@@ -231,6 +243,7 @@ def test_bad_goals(arguments, message, tmp_path, capsys, monkeypatch):
     assert not (tmp_path / "ball.prt").exists()
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     mesh = bumpy(4)

@@ -257,6 +257,7 @@ def test_vertices_inside_other_geometry_borrow(tmp_path):
     assert np.linalg.norm(packed.reconstruct() - reference) <= 1.01e-3 * np.linalg.norm(reference)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed(tmp_path, cache):
     """As it happens to users: SIGKILL, then the same command."""
     mesh = bumpy(5)

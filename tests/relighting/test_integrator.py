@@ -161,6 +161,7 @@ def test_the_picture_is_that_of_relit_vertices(rotate, mi, folder):
     assert_same_picture(picture(mi, scene), expected, atol=1e-4 * expected.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["constant", "sunsky"])
 def test_other_distant_lights(kind, mi, folder):
     emitter = {"constant": {"type": "constant", "radiance": {"type": "rgb", "value": [0.4, 0.7, 1.0]}},
@@ -171,6 +172,7 @@ def test_other_distant_lights(kind, mi, folder):
     assert_same_picture(picture(mi, scene), expected, atol=1e-4 * expected.max())
 
 
+@pytest.mark.slow
 def test_one_hot_texels_light_the_same_side_as_direct(mi, tmp_path):
     """A convex mesh, so that `direct` differs by the bandlimit and noise alone: the centroid of the light agrees."""
     ball = replace(sphere(4), name="ball")
@@ -261,6 +263,7 @@ def test_materials_of_the_scene_on_request(mi, folder):
 # --- Updates ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_changes_of_the_emitter_need_no_reload(mi, folder):
     scene = loaded(mi, folder)
     first = picture(mi, scene)
@@ -383,6 +386,7 @@ def test_gradient_of_a_material_of_the_scene(mi, folder):
 # --- Variants --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_switching_variants_back_and_forth(mi, folder):
     """In colour the same picture; in one channel its luminance."""
     reference = None
@@ -458,6 +462,7 @@ SCENE = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimize", [True, False])
 def test_shapes_with_a_formula_and_merged_ones(optimize, mi, tmp_path):
     """Where transport cut shapes finely, and where Mitsuba merged them: against the path tracer."""

@@ -93,6 +93,7 @@ def test_vertex_reference_agrees_where_sh_is_exact():
     assert relative_rms(full, reference.radiance) <= 3 * math.hypot(reference.noise, 0.003)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [sphere(5), bumpy(5)], ids=["sphere", "bumpy"])
 def test_picture_agrees_with_the_path_tracer_where_sh_is_exact(shape):
     """Direction of the light, camera, alpha and exposure: all in one comparison against Mitsuba's own picture."""
@@ -142,6 +143,7 @@ def test_back_sides_are_not_drawn():
     assert reference.picture.radiance[camera.alpha == 0].max() > 0.5
 
 
+@pytest.mark.slow
 def test_no_ray_slips_through_an_edge_to_a_bright_far_side(rng):
     ball = sphere(5)
     with open_scene(ball) as (mi, scene):

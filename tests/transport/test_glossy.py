@@ -39,6 +39,7 @@ def write(tmp_path):
     return make
 
 
+@pytest.mark.slow
 def test_of_diffuse_materials_it_is_diffuse_transfer_times_the_albedo(write):
     path = write(scene_of('<bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.2, 0.1"/></bsdf>'))
     toward = precompute(path, 5, 2048, view="front")

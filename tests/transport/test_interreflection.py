@@ -47,6 +47,7 @@ def ambient(transfer: Transfer) -> np.ndarray:
     return transfer.vectors[:, 0, 0].astype(np.float64) * AMBIENT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("albedo", [0.5, 0.95])
 @pytest.mark.parametrize("part", [0.5, 0.9])
 def test_bowl_has_a_closed_form(part, albedo):
@@ -84,6 +85,7 @@ def cornell():
     return precompute(ROOT / "scenes" / "cornell.xml", 1, 1024)
 
 
+@pytest.mark.slow
 def test_colour_bleeds(cornell):
     """Next to the red wall the floor is redder than next to the green one, and the reverse."""
     assert cornell.vectors.shape[1] == 3

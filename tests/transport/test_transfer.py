@@ -53,6 +53,7 @@ def test_a_mesh_inside_out_is_remarked_on(caplog):
     assert not caplog.text
 
 
+@pytest.mark.slow
 def test_hemispherical_bowl_has_the_known_sky():
     """At the bottom of a hemispherical bowl with rim at 90°, all of the sky is seen; on its wall at polar angle α the
     rim blocks, and the cosine-weighted open part is (1 + cos α)/2 for the vertex at angle α from the bottom."""
@@ -87,6 +88,7 @@ def hits_any(mesh: Mesh, origin: np.ndarray, directions: np.ndarray) -> np.ndarr
     return hit
 
 
+@pytest.mark.slow
 def test_brute_force(rng):
     """Visibility by testing every triangle, and a plain sum over uniform directions."""
     mesh = bumpy(3)
@@ -106,6 +108,7 @@ def test_brute_force(rng):
         np.testing.assert_allclose(transfer.vectors[vertex, 0], expected, atol=3 * 4000**-0.75)
 
 
+@pytest.mark.slow
 def test_error_falls_as_rays_are_added():
     mesh = bumpy(3)
     reference = precompute(mesh, bandlimit=6, samples=16384).vectors
