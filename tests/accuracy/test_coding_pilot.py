@@ -45,6 +45,7 @@ def test_errors_of_coefficients_under_a_light(shadowed, rng):
     np.testing.assert_allclose(work.under(off.T @ off / 500, missed, light), brute, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.02, 0.06])
 def test_a_trial_foresees_what_coding_adds(part):
     """Tolerance, error and bytes of the whole mesh, from caps of a pilot."""

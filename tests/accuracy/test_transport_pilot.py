@@ -37,6 +37,7 @@ def test_vertices_are_apart_and_all_over():
         assert np.mean(positions[chosen, axis] > 0) == pytest.approx(np.mean(positions[:, axis] > 0), abs=0.03)
 
 
+@pytest.mark.slow
 def test_few_combinations_tell_the_others(pilot):
     """Errors of rays and bandlimits that were not looked at, within a fifth."""
     looked = {(s, look.bandlimit) for s, look in pilot._looks.items()}
@@ -50,6 +51,7 @@ def test_few_combinations_tell_the_others(pilot):
         assert foreseen == pytest.approx(found, rel=0.2)
 
 
+@pytest.mark.slow
 def test_feasible_is_what_meets_the_error(pilot):
     found = pilot.feasible(0.05)
     assert found
@@ -59,6 +61,7 @@ def test_feasible_is_what_meets_the_error(pilot):
     assert (4 * samples, bandlimit) in found
 
 
+@pytest.mark.slow
 def test_a_pilot_s_transport_is_that_of_the_whole_run(pilot):
     """So that nothing but the choice of vertices separates what is foreseen from what comes."""
     planned = pilot.planned
@@ -69,6 +72,7 @@ def test_a_pilot_s_transport_is_that_of_the_whole_run(pilot):
     assert_rounded(found, whole, terms=128 + 13, size=1.0 / np.sqrt(np.pi))
 
 
+@pytest.mark.slow
 def test_more_takes_longer(pilot):
     assert pilot.seconds(256, 10) > pilot.seconds(64, 10)
     assert pilot.seconds(64, 20) > pilot.seconds(64, 10)

@@ -203,6 +203,7 @@ def test_help_needs_no_renderer():
     assert out.strip().endswith("False")
 
 
+@pytest.mark.slow
 def test_interrupt_leaves_nothing(folder, tmp_path):
     ball = trimesh.creation.icosphere(6)
     bumps = ball.vertices * (1 + 0.2 * np.sin(6 * ball.vertices).prod(axis=1))[:, None]
@@ -224,6 +225,7 @@ def test_interrupt_leaves_nothing(folder, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["big.ply"]
 
 
+@pytest.mark.slow
 def test_progress_on_a_terminal(folder, tmp_path):
     ball = trimesh.creation.icosphere(6)
     bumps = ball.vertices * (1 + 0.2 * np.sin(6 * ball.vertices).prod(axis=1))[:, None]
@@ -292,6 +294,7 @@ def test_albedo_brings_interreflection(folder, capsys):
     assert "not asked for (effects direct)" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_scene_is_relit_in_its_own_light_by_its_own_camera(folder, capsys):
     (folder / "scene.xml").write_text(
         """<scene version="3.0.0"><sensor type="perspective" id="eye"><transform name="to_world">

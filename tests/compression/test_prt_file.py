@@ -153,6 +153,7 @@ def test_folder_that_is_missing_or_in_the_way(tmp_path):
             check(tmp_path)
 
 
+@pytest.mark.slow
 def test_many_functions_of_high_degree_come_back(tmp_path):
     """More than 2^15 numbers in the tables of radial functions."""
     transfer = precompute(sphere(3), 20, 16)

@@ -55,6 +55,7 @@ def comparison(tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_results_have_the_stable_names(comparison):
     results = json.loads(json.dumps(comparison.results()))
     assert results["vertices"] == 642
@@ -74,6 +75,7 @@ def test_results_have_the_stable_names(comparison):
     assert all(0 < r["noise"] < 0.2 for r in results["references"].values())
 
 
+@pytest.mark.slow
 def test_full_sh_is_the_end_of_every_curve(comparison):
     full = next(m for m in comparison.methods if m.basis == "none")
     assert full.transfer_error <= 5e-4  # float16
@@ -82,6 +84,7 @@ def test_full_sh_is_the_end_of_every_curve(comparison):
         assert method.transfer_error >= full.transfer_error
 
 
+@pytest.mark.slow
 def test_report_needs_nothing_else(comparison, tmp_path):
     page = write_report(comparison, tmp_path / "out", "slepian-prt compare 'a b.ply'")
     html = page.read_text()
@@ -99,6 +102,7 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.endswith(".part")]
 
 
+@pytest.mark.slow
 def test_report_shows_a_sweep(comparison, tmp_path):
     setting = Setting(64, 5, 96, "adapted", 0.05)
     points = (Point(setting, {"first": 0.1}, {"first": 0.1}, 2.0, 1.0, 0.0, 1.0, 0.1, 0.01),)
@@ -147,6 +151,7 @@ CORNER = """<scene version="3.0.0">
 </scene>"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", [None, "eye"])
 def test_a_mitsuba_scene_in_its_own_light(view, tmp_path):
     """Its emitter and camera are used, and the references follow what transfer follows: bounces, or gloss."""

@@ -10,6 +10,7 @@ from slepian_prt.evaluation.pit import exact_pit_transfer, pit_spectrum, traced_
 AMBIENT = math.sqrt(4 * math.pi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [10, 40])
 def test_traced_transfer_is_exact_transfer(degrees):
     angles = np.linspace(0.0, math.radians(degrees), 21)

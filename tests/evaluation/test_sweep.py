@@ -177,6 +177,7 @@ def test_a_stopped_sweep_goes_on(folder, tmp_path):
             assert Journal(path, planned, environments, 0.05).points == {}
 
 
+@pytest.mark.slow
 def test_the_command(folder):
     command = [
         sys.executable, "-m", "slepian_prt", "sweep", "bumpy.ply", "--environment", "sky.exr", "-o", "out",

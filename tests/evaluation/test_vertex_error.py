@@ -66,6 +66,7 @@ def test_noise_of_the_reference_is_taken_off(rng):
     assert found.squared[L, 0] < 0.1 * noise**2
 
 
+@pytest.mark.slow
 def test_standard_errors_hold(rng):
     """Errors at many small samples of the vertices scatter as each of them says."""
     light, environment = banded(rng)
@@ -153,6 +154,7 @@ def test_what_lies_beyond_the_reference_is_known_from_degree_one():
     )
 
 
+@pytest.mark.slow
 def test_a_map_against_a_scene():
     """Full SH at a high bandlimit with many rays is within noise of the reference, a low one is not."""
     with plan_scene(bumpy(3), TransportSettings(12, 4096)) as planned:

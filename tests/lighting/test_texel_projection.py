@@ -25,6 +25,7 @@ def test_adjoint_is_the_transpose(height, bandlimit, rng):
     assert np.sum(texels * projection.adjoint(coefficients)) == pytest.approx(there, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_projection_is_the_sum_over_texels(rng):
     """Every harmonic evaluated at every texel, the way one would first write it."""
     height, bandlimit = 256, 20

@@ -57,6 +57,7 @@ def test_many_lights_are_each_light(folder, rng):
         relight(packed, np.zeros((0, 3, 36)))
 
 
+@pytest.mark.slow
 def test_a_turntable_turns_the_light(folder):
     done = run(folder, "--environment", "first.exr", "--rotate", "10", "--turntable", "5", "-o", "all.npz")
     assert done.returncode == 0, done.stderr
@@ -70,6 +71,7 @@ def test_a_turntable_turns_the_light(folder):
         np.testing.assert_allclose(one, relight(packed, light), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_pictures_in_a_folder_have_one_exposure(folder):
     done = run(folder, "--environment", "first.exr", "--turntable", "3", "--width", "48", "-o", "frames/")
     assert done.returncode == 0, done.stderr
@@ -89,12 +91,14 @@ def test_pictures_in_a_folder_have_one_exposure(folder):
     assert len(trimesh.load(folder / "pictures" / "first.ply", process=False).vertices) == 642
 
 
+@pytest.mark.slow
 def test_what_a_window_does_is_told(folder):
     done = run(folder, "--environment", "first.exr", "--window", "hann", "--window-width", "3", "-o", "w.npz")
     assert done.returncode == 0, done.stderr
     assert "first: window hann of width 3 changes radiance by" in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -118,6 +122,7 @@ def test_wrong_requests(arguments, message, folder):
     assert sorted(os.listdir(folder)) == before
 
 
+@pytest.mark.slow
 def test_a_film_goes_through_the_encoder(folder, tmp_path):
     """An encoder that keeps what it is given."""
     fake = tmp_path / "ffmpeg"

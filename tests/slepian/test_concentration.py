@@ -130,6 +130,7 @@ def test_against_pyshtools():
     np.testing.assert_allclose(cap_basis(bandlimit, half_angle).eigenvalues, np.sort(theirs)[::-1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_order_and_signs_are_deterministic():
     first, second = cap_basis(60, 0.5), cap_basis(60, 0.5)
     assert_exact(first.orders, second.orders, because="integers, by the same calls")

@@ -23,6 +23,7 @@ def test_area_of_a_cap_anywhere(seed, half_angle):
     assert region_area(~region) == pytest.approx(4 * math.pi - cap_area(half_angle), abs=1e-12)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_unions_and_differences_add_up(seed):

@@ -71,6 +71,7 @@ def blocked_by_half_plane(bandlimit: int, height: float) -> np.ndarray:
     return weight @ real_sh(bandlimit, d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nodes", [100, 400])
 def test_straight_boundaries_are_found_to_second_order(nodes):
     """Half planes at many heights and angles: the error is that of quantised crossings, far below a node's share."""

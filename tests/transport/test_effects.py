@@ -44,6 +44,7 @@ def test_forcing_effects_changes_no_more_than_promised(scene, albedo):
     assert abs(direct.vectors[:, :, 0].mean() * AMBIENT - light) <= promised(direct) * max(light, 1e-9) + 1e-6
 
 
+@pytest.mark.slow
 def test_forcing_effects_on_the_cornell_box():
     auto = precompute(ROOT / "scenes" / "cornell.xml", 2, 256)
     assert verdicts(auto)["interreflection"] == "simulated"
@@ -112,6 +113,7 @@ def test_bad_options(options, message):
         precompute(sphere(1), 1, 16, **options)
 
 
+@pytest.mark.slow
 def test_what_the_bandlimit_leaves_out_is_foretold():
     mesh = bumpy(3)
     row = precompute(mesh, 4, 64).effects[-1]

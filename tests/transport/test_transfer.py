@@ -53,6 +53,7 @@ def test_a_mesh_inside_out_is_remarked_on(caplog):
     assert not caplog.text
 
 
+@pytest.mark.slow
 def test_hemispherical_bowl_has_the_known_sky():
     """At the bottom of a hemispherical bowl with rim at 90°, all of the sky is seen; on its wall at polar angle α the
     rim blocks, and the cosine-weighted open part is (1 + cos α)/2 for the vertex at angle α from the bottom."""
@@ -87,6 +88,7 @@ def hits_any(mesh: Mesh, origin: np.ndarray, directions: np.ndarray) -> np.ndarr
     return hit
 
 
+@pytest.mark.slow
 def test_brute_force(rng):
     """Visibility by testing every triangle, and a plain sum over uniform directions."""
     mesh = bumpy(3)
@@ -106,8 +108,9 @@ def test_brute_force(rng):
         np.testing.assert_allclose(transfer.vectors[vertex, 0], expected, atol=3 * 4000**-0.75)
 
 
+@pytest.mark.slow
 def test_error_falls_as_rays_are_added():
-    mesh = bumpy(4)
+    mesh = bumpy(3)
     reference = precompute(mesh, bandlimit=6, samples=16384).vectors
     errors = [
         np.linalg.norm(precompute(mesh, bandlimit=6, samples=n, seed=3).vectors - reference) / np.linalg.norm(reference)
@@ -270,7 +273,7 @@ def test_bad_numbers(options, message):
 def test_ambient_occlusion_of_real_meshes(data):
     """Mean ambient occlusion as measured for the design: skull 0.72, nefertiti 0.95; no vertex of nefertiti black."""
     for name, expected in (("skull", 0.72), ("nefertiti", 0.95)):
-        transfer = precompute(data / "meshes" / f"{name}.ply", bandlimit=0, samples=1024)
+        transfer = precompute(data / "meshes" / f"{name}.ply", bandlimit=0, samples=256)
         ambient = transfer.vectors[:, 0, 0] * AMBIENT
         assert ambient.mean() == pytest.approx(expected, abs=0.01)
         assert ambient.max() <= 1.0 + 1e-5

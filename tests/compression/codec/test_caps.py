@@ -182,6 +182,7 @@ def test_words_of_another_cap_are_refused_or_differ():
         assert decoded.multiples.shape[0] == len(surface.order)
 
 
+@pytest.mark.slow
 def test_coded_is_far_smaller_than_float16_at_the_same_error():
     transfer = precompute(bumpy(5), bandlimit=8, samples=256)
     reference = transfer.vectors[:, 0]
