@@ -484,7 +484,7 @@ def compare(
     from slepian_prt.evaluation.compare import compare as run
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
     from slepian_prt.evaluation.report import write_report
-    from slepian_prt.evaluation.sweep import Sweep
+    from slepian_prt.evaluation.sweep.results import Sweep
     from slepian_prt.files import check_folder
     from slepian_prt.transport.transfer import TransportSettings
 
@@ -569,12 +569,14 @@ def sweep(
 
     Stopped or killed, the same command goes on from the settings that were finished.
     """
-    from slepian_prt.evaluation import sweep as sweeping
-    from slepian_prt.evaluation.sweep_report import describe, write_sweep
+    from slepian_prt.evaluation.sweep.axes import Axes
+    from slepian_prt.evaluation.sweep.report import describe, write_sweep
+    from slepian_prt.evaluation.sweep.results import find_setbacks
+    from slepian_prt.evaluation.sweep.run import sweep as run
     from slepian_prt.files import check_folder
     from slepian_prt.transport.transfer import TransportSettings
 
-    axes = sweeping.Axes(
+    axes = Axes(
         _numbers(int, samples, "samples"),
         _numbers(int, bandlimit, "bandlimit"),
         _numbers(int, clusters, "clusters"),
@@ -587,22 +589,22 @@ def sweep(
     check_noise(noise)
     check_folder(output)
     maps = read_maps(environment, clamp_negative, rotate)
-    journal = Path(output) / "sweep.partial.jsonl"
+    checkpoint = Path(output) / "sweep.partial.jsonl"
     with progress("settings", "settings") as (advance, report):
-        found = sweeping.sweep(
+        found = run(
             scene,
             maps,
             axes,
             transport,
             noise=noise,
-            journal=journal,
+            checkpoint=checkpoint,
             report=report,
             advance=advance,
             on_plan=print_plan,
         )
     found = replace(found, command="slepian-prt " + shlex.join(sys.argv[1:]))
     page = write_sweep(found, output)
-    for sentence in sweeping.findings(found):
+    for sentence in find_setbacks(found):
         note(sentence)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("environment", "not beaten in time", "error", "seconds", "bytes/vertex"):

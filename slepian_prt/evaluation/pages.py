@@ -1,4 +1,4 @@
-"""What the pages of reports share."""
+"""Templates of the pages of reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import jinja2
 from slepian_prt.evaluation import plots
 
 
-def template(name: str) -> jinja2.Template:
+def load_template(name: str) -> jinja2.Template:
     """A template of this package, with filters for pictures (``uri``), errors (``percent``) and times (``seconds``)."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("slepian_prt", "evaluation"), autoescape=True, trim_blocks=True, lstrip_blocks=True

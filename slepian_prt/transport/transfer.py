@@ -18,6 +18,7 @@ from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.sensors import View
+from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import SIMULATED, Effect, Plan, Survey, check_effects
 from slepian_prt.transport.glossy import view_transfer
 from slepian_prt.transport.interior import borrow
@@ -94,6 +95,11 @@ class Transfer:
     def normals(self) -> NDArray[np.float64]:
         """(V, 3) unit normals, zero at vertices that no face uses."""
         return self.mesh.normals
+
+    def at_bandlimit(self, bandlimit: int) -> Transfer:
+        """The same transfer with fewer degrees, without the scene's own light."""
+        vectors = self.vectors[:, :, : num_coefficients(bandlimit)]
+        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None)
 
 
 def precompute(
