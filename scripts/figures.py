@@ -11,15 +11,18 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from paper import pit
+from paper.empirical import empirical_spectrum
 
 import slepian_prt as sp
-from slepian_prt.evaluation import pit, spectra
+from slepian_prt.evaluation import spectra
 from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.metrics import relative_rms
 from slepian_prt.evaluation.reference import render_reference
-from slepian_prt.evaluation.report import ladder_plot
-from slepian_prt.evaluation.sweep import Axes, sweep
-from slepian_prt.evaluation.sweep_report import fronts
+from slepian_prt.evaluation.report_plots import plot_ladder
+from slepian_prt.evaluation.sweep.axes import Axes
+from slepian_prt.evaluation.sweep.report import front_context
+from slepian_prt.evaluation.sweep.run import sweep
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.relighting.camera import trace_camera
 from slepian_prt.relighting.pictures import exposure, to_srgb
@@ -94,16 +97,18 @@ def accuracy() -> None:
     """The shipped scene: error against seconds and against bytes, with the settings that are not beaten."""
     scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
     axes = Axes((64, 256, 1024), (5, 10, 15, 20), tolerances=(0.3, 0.2, 0.1, 0.05, 0.02))
-    found = sweep(scene, [sky], axes, TransportSettings())
-    for (_, cost), picture in fronts(found)["figures"].items():
+    measured = sweep(scene, [sky], axes, TransportSettings())
+    for (_, cost), picture in front_context(measured)["figures"].items():
         write(f"accuracy_{cost}", picture)
 
 
 def ladder() -> None:
     """The shipped scene: what each step from the path-traced picture to coded coefficients adds."""
     scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
-    found = compare(scene, [sky], transport=TransportSettings(10, 1024), methods=("adapted",), terms=(16,), noise=0.005)
-    write("ladder", ladder_plot(found.ladder))
+    comparison = compare(
+        scene, [sky], transport=TransportSettings(10, 1024), methods=("adapted",), terms=(16,), noise=0.005
+    )
+    write("ladder", plot_ladder(comparison.ladder))
 
 
 def write(name: str, picture: bytes) -> None:
@@ -148,7 +153,7 @@ def paper_figure_3() -> None:
             half_angle = math.radians(angle * (2 if reflection else 1))
             plain = sp.cap_basis(bandlimit, half_angle).eigenvalues
             weighted = sp.cap_basis(bandlimit, half_angle, kernel=zonal).eigenvalues
-            measured = spectra.empirical_spectrum(zonal, half_angle, reflection=reflection)
+            measured = empirical_spectrum(zonal, half_angle, reflection=reflection)
             weighted = weighted / weighted[0]
             kept = (weighted > 1e-8)[: measured.size]
             worst = max(worst, float(np.abs(np.log10(measured[kept] / weighted[: measured.size][kept])).max()))

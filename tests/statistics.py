@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student_t
-from slepian_prt.evaluation.errors import relative_rms
-from slepian_prt.scene.variants import bitmap_module
+
+from slepian_prt.evaluation.metrics import relative_rms
+from slepian_prt.renderer.variants import bitmap_module
 
 OUTPUT = Path(__file__).parent.parent / "test-output"
 SIGNIFICANCE = 1e-3

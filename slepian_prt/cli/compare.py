@@ -25,7 +25,7 @@ from slepian_prt.cli.values import read_maps, settings_of
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
-    from slepian_prt.evaluation.sweep import Sweep
+    from slepian_prt.evaluation.sweep.results import Sweep
 
 
 @click.command()
@@ -102,7 +102,7 @@ def compare(
 
 
 def _read_sweep(file: str, scene: str) -> Sweep:
-    from slepian_prt.evaluation.sweep import Sweep
+    from slepian_prt.evaluation.sweep.results import Sweep
 
     sweep = Sweep.read(file)
     if Path(sweep.source).name != Path(scene).name:

@@ -25,7 +25,7 @@ from slepian_prt.cli.options import (
 from slepian_prt.cli.values import Several, read_maps, settings_of
 
 if TYPE_CHECKING:
-    from slepian_prt.evaluation.sweep import Sweep
+    from slepian_prt.evaluation.sweep.results import Sweep
 
 
 def _axis(flag: str, kind: type, metavar: str, default: str | None, what: str) -> Any:
@@ -71,32 +71,34 @@ def sweep(
     Stopped or killed, the same command goes on from the settings that were finished.
     """
     from slepian_prt.cli.terminal import print_plan, progress
-    from slepian_prt.evaluation import sweep as sweeping
-    from slepian_prt.evaluation.sweep_report import write_sweep
+    from slepian_prt.evaluation.sweep.axes import Axes
+    from slepian_prt.evaluation.sweep.report import write_sweep
+    from slepian_prt.evaluation.sweep.results import find_setbacks
+    from slepian_prt.evaluation.sweep.run import sweep as run
     from slepian_prt.files import check_folder
     from slepian_prt.transport.settings import TransportSettings
 
-    axes = sweeping.Axes(samples, bandlimit, clusters, basis, tolerance, bounces or (None,))
+    axes = Axes(samples, bandlimit, clusters, basis, tolerance, bounces or (None,))
     axes.check()
     transport = settings_of(TransportSettings, options)
     check_folder(output)
     maps = read_maps(environment, clamp_negative, rotate)
-    journal = Path(output) / "sweep.partial.jsonl"
+    checkpoint = Path(output) / "sweep.partial.jsonl"
     with progress("settings", "settings") as (advance, report):
-        found = sweeping.sweep(
+        found = run(
             scene,
             maps,
             axes,
             transport,
             noise=noise,
-            journal=journal,
+            checkpoint=checkpoint,
             report=report,
             advance=advance,
             on_plan=print_plan,
         )
     found = replace(found, command="slepian-prt " + shlex.join(sys.argv[1:]))
     page = write_sweep(found, output)
-    for sentence in sweeping.findings(found):
+    for sentence in find_setbacks(found):
         note(sentence)
     _print_front(found)
     say(f"{page}: {len(found.points)} settings")
@@ -105,7 +107,7 @@ def sweep(
 def _print_front(found: Sweep) -> None:
     """The settings that no other beats in error and time."""
     from slepian_prt.cli.terminal import print_table
-    from slepian_prt.evaluation.sweep_report import describe
+    from slepian_prt.evaluation.sweep.report import describe
 
     print_table(
         {

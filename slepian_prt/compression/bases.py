@@ -320,14 +320,73 @@ def _adapted(problem: Problem, frame: Frame) -> Candidate:
     return _radial_candidate(problem, frame, "adapted", functions.radial, functions.orders)
 
 
-ANALYTIC: dict[str, Callable[[Problem, Frame], Candidate]] = {
-    "adapted": _adapted,
-    "transport": _transport,
-    "slepian": _slepian,
-    "incident": _incident,
-    "sh": _sh,
-    "direct": _direct,
+class CurveStyle(NamedTuple):
+    """How a curve is drawn: the colour, marker and dash of Matplotlib, any one of which tells it from the others."""
+
+    color: str
+    marker: str
+    dash: str
+
+
+@dataclass(frozen=True)
+class BasisEntry:
+    """What is known of a basis by its name; a new basis is one more entry of ``BASES``.
+
+    Attributes
+    ----------
+    description : str
+        Half a sentence, for help and reports.
+    style : CurveStyle
+    build : callable or None
+        Makes the candidate of one cap; None for bases that are made from the vectors of the whole mesh.
+    """
+
+    description: str
+    style: CurveStyle
+    build: Callable[[Problem, Frame], Candidate] | None
+
+
+# Colours of Okabe & Ito, safe for colour-blind readers.
+BASES = {
+    "adapted": BasisEntry(
+        "eigenvectors of the mean transport over the cap, learnt from a pilot of a few hundred vertices",
+        CurveStyle("#D55E00", "o", "-"),
+        _adapted,
+    ),
+    "transport": BasisEntry(
+        "eigenvectors of unshadowed diffuse transport over the cap, known without looking at the scene",
+        CurveStyle("#E69F00", "s", "-"),
+        _transport,
+    ),
+    "slepian": BasisEntry(
+        "the paper's Slepian functions of the cap of normals, for exit radiance",
+        CurveStyle("#0072B2", "D", "--"),
+        _slepian,
+    ),
+    "incident": BasisEntry(
+        "Slepian functions of the cap that holds all incident light (the cap of normals widened by 90°)",
+        CurveStyle("#56B4E9", "^", "--"),
+        _incident,
+    ),
+    "sh": BasisEntry("spherical harmonics cut at a lower degree", CurveStyle("#222222", "x", ":"), _sh),
+    "direct": BasisEntry(
+        "transfer projected on the Slepian functions of the cap of normals itself: what not to do",
+        CurveStyle("#CC79A7", "P", ":"),
+        _direct,
+    ),
+    "pca": BasisEntry(
+        "mean and principal components of each cap; has to see all vectors and to store its bases",
+        CurveStyle("#009E73", "^", ":"),
+        None,
+    ),
+    "cpca": BasisEntry(
+        "pca with clusters iterated by reconstruction error (Sloan 2003)",
+        CurveStyle("#009E73", "v", "-."),
+        None,
+    ),
 }
+
+ANALYTIC = {name: entry.build for name, entry in BASES.items() if entry.build is not None}
 
 
 def candidates(name: str, problem: Problem) -> list[Candidate]:

@@ -1,4 +1,4 @@
-"""What the pages of reports share."""
+"""Templates of the pages of reports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 from slepian_prt.evaluation import plots
 
 
-def template(name: str) -> jinja2.Template:
+def load_template(name: str) -> jinja2.Template:
     """A template of this package.
 
     Its filters: ``uri`` for pictures, ``percent`` for errors, ``seconds`` for times, ``code`` for sentences that name

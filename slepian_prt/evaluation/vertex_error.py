@@ -16,13 +16,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.encoder import Encoder, Trial
 from slepian_prt.evaluation.metrics import relative_square
 from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
-from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees, real_sh
 from slepian_prt.transport.planned import PlannedScene
 from slepian_prt.transport.settings import LARGEST_BANDLIMIT
 
@@ -85,8 +84,9 @@ class ErrorMetric(Protocol):
         the mean square of the reference."""
         ...
 
-    def of_coding(self, work: Encoder, trial: Trial) -> NDArray[np.float64]:
-        """(lights,) squared relative errors that compression is expected to make, from coding some caps."""
+    @property
+    def reference_square(self) -> NDArray[np.float64]:
+        """(lights,) mean square of the reference."""
         ...
 
 
@@ -193,13 +193,9 @@ class MapMetric:
             products.append(_over(mean, _mean_square(reference.radiance)))
         return np.array(products)
 
-    def of_coding(self, work: Encoder, trial: Trial) -> NDArray[np.float64]:
-        errors = []
-        size = num_coefficients(work.bandlimit)
-        for lighting, reference in zip(self.lighting, self.references, strict=True):
-            squares = work.under(trial.errors, trial.missed, lighting[:, :size]) * np.mean(self.albedo**2, axis=0)
-            errors.append(_over(squares.sum(), _mean_square(reference.radiance)))
-        return np.array(errors)
+    @property
+    def reference_square(self) -> NDArray[np.float64]:
+        return np.array([_mean_square(reference.radiance) for reference in self.references])
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +257,7 @@ class SpectrumMetric:
 
     def errors(self, vectors: NDArray, *, subtract_noise: bool = True) -> VertexError:
         vectors = vectors.reshape(len(vectors), -1, vectors.shape[-1])
-        bandlimit = math.isqrt(vectors.shape[2]) - 1
+        bandlimit = bandlimit_of(vectors.shape[2])
         reference, _, whole = self._energies
         common = min(bandlimit, self.power.size - 1)
         size = (common + 1) ** 2
@@ -275,7 +271,7 @@ class SpectrumMetric:
 
     def squared_difference(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         _, _, whole = self._energies
-        bandlimit = math.isqrt(first.shape[2]) - 1
+        bandlimit = bandlimit_of(first.shape[2])
         common = min(bandlimit, self.power.size - 1)
         size = (common + 1) ** 2
         squares = np.mean(_squares_by_degree(first[:, :, :size] - second[:, :, :size]), axis=0)
@@ -287,14 +283,12 @@ class SpectrumMetric:
         _, _, whole = self._energies
         size = min(first.shape[2], self.power.size**2)
         products = np.mean(first[:, :, :size].astype(np.float64) * second[:, :, :size], axis=(0, 1))
-        by_degree = np.bincount(degrees(math.isqrt(size) - 1), products)
+        by_degree = np.bincount(degrees(bandlimit_of(size)), products)
         return _over(np.array([self.power[: by_degree.size] @ by_degree]), whole)
 
-    def of_coding(self, work: Encoder, trial: Trial) -> NDArray[np.float64]:
-        _, _, whole = self._energies
-        lost = trial.expected.lost
-        common = min(lost.size, self.power.size)
-        return _over(np.array([self.power[:common] @ lost[:common]]), whole)
+    @property
+    def reference_square(self) -> NDArray[np.float64]:
+        return np.array([self._energies[2]])
 
 
 def _vertex_error(squares: NDArray, reference: float, noise: float) -> VertexError:
@@ -309,7 +303,7 @@ def _vertex_error(squares: NDArray, reference: float, noise: float) -> VertexErr
 
 def _radiance_at_bandlimits(vectors: NDArray, lighting: NDArray) -> NDArray[np.float64]:
     """(L+1, n, 3) radiance of vectors (n, channels, (L+1)²) for unit albedo, cut at the bandlimits 0, 1, …, L."""
-    bandlimit = math.isqrt(vectors.shape[2]) - 1
+    bandlimit = bandlimit_of(vectors.shape[2])
     vectors = _three_channels(vectors)
     blocks = [slice(l * l, (l + 1) ** 2) for l in range(bandlimit + 1)]
     return np.cumsum([np.einsum("ncm,cm->nc", vectors[:, :, m], lighting[:, m]) for m in blocks], axis=0)
@@ -332,6 +326,6 @@ def _over(values: NDArray, reference: float) -> NDArray[np.float64]:
 def _squares_by_degree(vectors: NDArray) -> NDArray[np.float64]:
     """(n, L+1) squared norms in each degree, averaged over the channels."""
     squares = np.mean(vectors.astype(np.float64) ** 2, axis=1)
-    bandlimit = math.isqrt(squares.shape[1]) - 1
+    bandlimit = bandlimit_of(squares.shape[1])
     starts = np.flatnonzero(np.diff(degrees(bandlimit), prepend=-1))
     return np.add.reduceat(squares, starts, axis=1)

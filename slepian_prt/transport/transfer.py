@@ -13,6 +13,7 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
+from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import SIMULATED, Effect
 from slepian_prt.transport.glossy import merge_equal_channels
@@ -79,6 +80,11 @@ class Transfer(Summarised):
     def normals(self) -> NDArray[np.float64]:
         """(V, 3) unit normals, zero at vertices that no face uses."""
         return self.mesh.normals
+
+    def at_bandlimit(self, bandlimit: int) -> Transfer:
+        """The same transfer with fewer degrees, without the scene's own light."""
+        vectors = self.vectors[:, :, : num_coefficients(bandlimit)]
+        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None)
 
     def _summary(self) -> dict[str, object]:
         return {

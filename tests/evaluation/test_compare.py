@@ -10,7 +10,8 @@ from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.methods import METHODS
 from slepian_prt.evaluation.metrics import error_map, relative_rms
 from slepian_prt.evaluation.report import write_report
-from slepian_prt.evaluation.sweep import Point, Setting, Sweep
+from slepian_prt.evaluation.sweep.axes import Setting
+from slepian_prt.evaluation.sweep.results import Point, Sweep
 from slepian_prt.files import check_folder
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.relighting.pictures import Picture
@@ -48,7 +49,7 @@ def comparison(tmp_path_factory):
         maps,
         transport=TransportSettings(bandlimit=4, samples=64),
         grouping=CompressionSettings(clusters=8),
-        methods=METHODS,
+        methods=tuple(METHODS),
         terms=(4, 9, 40),
         width=64,
         noise=0.05,
@@ -70,8 +71,8 @@ def test_results_have_the_stable_names(comparison):
         # 40 is more than the bandlimit has; slepian lacks some functions of it
         assert method["terms"] in (4, 9, 16, 24, 25) or method["coding"] == "coded"
         assert method["predicted_error"] is not None or method["basis"] in ("haar", "d3dx")
-    assert {rung["environment"] for rung in results["ladder"]} == {"first", "second"}
-    assert all({"stage", "error", "seconds"} <= set(rung) for rung in results["ladder"])
+    assert {stage["environment"] for stage in results["ladder"]} == {"first", "second"}
+    assert all({"stage", "error", "seconds"} <= set(stage) for stage in results["ladder"])
     assert all(0 < r["noise"] < 0.2 for r in results["references"].values())
 
 
@@ -94,7 +95,7 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", html)
     assert "bumpy &amp; &lt;ball&gt;.ply" in html
     assert "<ball>" not in html
-    for basis in METHODS[:-1]:
+    for basis in list(METHODS)[:-1]:
         assert f"{basis}, 9 functions" in html
         assert (tmp_path / "out" / f"first_{basis}_error.png").is_file()
     assert "entropy-coded" in html
@@ -161,14 +162,14 @@ def test_a_mitsuba_scene_in_its_own_light(view, tmp_path):
     result = compare(
         path, (), transport=TransportSettings(6, 512, view=view), terms=(9,), methods=("adapted",), noise=0.03
     )
-    assert [seen.environment.name for seen in result.views] == ["scene"]
+    assert [view.environment.name for view in result.views] == ["scene"]
     assert result.views[0].full.radiance.shape == (54, 72, 3)
     assert (result.transfer.bounces > 0) == (view is None)
     assert result.results()["toward_camera"] == (view is not None)
-    full = [rung for rung in result.ladder if rung.stage.startswith("full SH")]
-    for rung in full:
+    full = [error for error in result.ladder if error.stage.startswith("full SH")]
+    for stage in full:
         # Constant light needs no bandlimit: what is left is noise, interpolation, and at the outline pixels of both.
-        assert rung.error < rung.noise + 0.04
+        assert stage.error < stage.noise + 0.04
 
 
 def test_a_scene_without_light_of_its_own(tmp_path):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slepian_prt.evaluation.pit import exact_pit_transfer, pit_spectrum, traced_pit_transfer
+from scripts.paper.pit import exact_pit_transfer, pit_spectrum, traced_pit_transfer
 
 AMBIENT = math.sqrt(4 * math.pi)
 

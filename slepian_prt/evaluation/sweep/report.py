@@ -13,7 +13,7 @@ import matplotlib
 import numpy as np
 
 from slepian_prt.evaluation import pages, plots
-from slepian_prt.evaluation.sweep import Point, Sweep, findings, pareto
+from slepian_prt.evaluation.sweep.results import Point, Sweep, find_setbacks, pareto_front
 from slepian_prt.files import write_all
 
 _COSTS = {
@@ -41,11 +41,11 @@ def write_sweep(sweep: Sweep, folder: str | Path) -> Path:
         The folder cannot be written.
     """
     folder = Path(folder)
-    shown = fronts(sweep)
-    files = {f"{name}_{cost}.png": content for (name, cost), content in shown["figures"].items()}
+    context = front_context(sweep)
+    files = {f"{name}_{cost}.png": content for (name, cost), content in context["figures"].items()}
     files["sweep.json"] = (json.dumps(sweep.results(), indent=1) + "\n").encode()
     files["sweep.csv"] = _csv(sweep).encode()
-    files["sweep.html"] = _page(sweep, shown).encode()
+    files["sweep.html"] = _page(sweep, context).encode()
     write_all(folder, files)
     return folder / "sweep.html"
 
@@ -65,74 +65,73 @@ def _csv(sweep: Sweep) -> str:
         row = point.as_dict()
         errors, full = row.pop("error"), row.pop("full_error")
         for name in sweep.environments:
-            own = {"environment": name, "error": errors[name], "full_error": full[name], "noise": sweep.noise[name]}
-            writer.writerow({**row, **own})
+            measured = {"error": errors[name], "full_error": full[name], "noise": sweep.noise[name]}
+            writer.writerow({**row, "environment": name, **measured})
     return text.getvalue()
 
 
 def _plot(sweep: Sweep, name: str, cost: str, title: str) -> bytes:
     """Error against a cost; the front is drawn and its points are named."""
-    figure, axes = plots.figure()
+    figure, axes = plots.make_figure()
     axis = axes[0, 0]
+    _draw_points(axis, sweep, name, cost)
+    front = pareto_front(sweep.points, name, cost)
+    x, y = [getattr(point, cost) for point in front], [point.error[name] for point in front]
+    axis.step(x, y, where="post", color="#222222", linewidth=1.2, label="Pareto front")
+    if sweep.noise[name] > _NEAR * min(point.error[name] for point in sweep.points):
+        axis.axhline(sweep.noise[name], color="#777777", linestyle=":", linewidth=1.2, label="noise of the reference")
+    plots.scale_ordinate(axis)
+    plots.scale_abscissa(axis)
+    axis.set_xlabel(title)
+    axis.set_ylabel(f"relative error under {name}")
+    plots.add_grid(axis)
+    _name_points(axis, sweep, _well_apart(front, name), name, cost)
+    plots.add_legend(axis)
+    return plots.encode_png(figure)
+
+
+def _draw_points(axis: Any, sweep: Sweep, name: str, cost: str) -> None:
+    """All settings, with a colour and marker for each bandlimit."""
     bandlimits = sorted({point.setting.bandlimit for point in sweep.points})
-    colours = matplotlib.colormaps["viridis_r"](np.linspace(0.15, 1.0, len(bandlimits)))
+    colors = matplotlib.colormaps["viridis_r"](np.linspace(0.15, 1.0, len(bandlimits)))
     for number, bandlimit in enumerate(bandlimits):
-        chosen = [point for point in sweep.points if point.setting.bandlimit == bandlimit]
+        points = [point for point in sweep.points if point.setting.bandlimit == bandlimit]
         axis.plot(
-            [getattr(point, cost) for point in chosen],
-            [point.error[name] for point in chosen],
+            [getattr(point, cost) for point in points],
+            [point.error[name] for point in points],
             _MARKERS[number % len(_MARKERS)],
-            color=colours[number],
+            color=colors[number],
             label=f"L = {bandlimit}",
             markersize=5,
         )
-    front = pareto(sweep.points, name, cost)
-    axis.step(
-        [getattr(point, cost) for point in front],
-        [point.error[name] for point in front],
-        where="post",
-        color="#222222",
-        linewidth=1.2,
-        label="Pareto front",
-    )
-    if sweep.noise[name] > _NEAR * min(point.error[name] for point in sweep.points):
-        axis.axhline(sweep.noise[name], color="#777777", linestyle=":", linewidth=1.2, label="noise of the reference")
-    plots.logarithmic(axis)
-    axis.set_xscale("log")
-    axis.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{v:g}"))
-    axis.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
-    axis.set_xlabel(title)
-    axis.set_ylabel(f"relative error under {name}")
-    plots.decorate(axis)
-    shown = _named(front, name)
-    for number, point in enumerate(shown, start=1):
+
+
+def _name_points(axis: Any, sweep: Sweep, points: Sequence[Point], name: str, cost: str) -> None:
+    """Numbers beside points, and what they stand for in two columns below the plot."""
+    lines = []
+    for number, point in enumerate(points, start=1):
         place = (getattr(point, cost), point.error[name])
         axis.plot(*place, "o", markersize=11, markerfacecolor="none", markeredgecolor="#222222", markeredgewidth=1.0)
         axis.annotate(str(number), place, xytext=(6, 6), textcoords="offset points", fontsize=10)
-    plots.legend(axis)
-    lines = [
-        f"{number}  {_short(sweep, point)}: {plots.percent(point.error[name])}, {_amount(point, cost)}"
-        for number, point in enumerate(shown, start=1)
-    ]
+        error, amount = plots.percent(point.error[name]), _amount(point, cost)
+        lines.append(f"{number}  {_short_label(sweep, point)}: {error}, {amount}")
     half = (len(lines) + 1) // 2
     for column, part in enumerate((lines[:half], lines[half:])):
         axis.text(0.62 * column, -0.2, "\n".join(part), transform=axis.transAxes, va="top", fontsize=9)
-    return plots.finish(figure)
 
 
-def _named(front: Sequence[Point], name: str) -> list[Point]:
+def _well_apart(front: Sequence[Point], name: str) -> list[Point]:
     """Points of a front that are well apart, from the cheapest to the most exact."""
     step = _NAMED
     while True:
-        found: list[Point] = []
+        chosen: list[Point] = []
         for point in front:
-            if not found or point.error[name] <= step * found[-1].error[name]:
-                found.append(point)
-        if front and found[-1] is not front[-1]:
-            found[-1 if len(found) > 1 else len(found) :] = [front[-1]]
-        if len(found) <= _MOST_NAMED:
-            return found
+            if not chosen or point.error[name] <= step * chosen[-1].error[name]:
+                chosen.append(point)
+        if front and chosen[-1] is not front[-1]:
+            chosen[-1 if len(chosen) > 1 else len(chosen) :] = [front[-1]]
+        if len(chosen) <= _MOST_NAMED:
+            return chosen
         step *= 0.95
 
 
@@ -141,23 +140,23 @@ def _amount(point: Point, cost: str) -> str:
     return plots.seconds(point.seconds) if cost == "seconds" else f"{point.bytes_per_vertex:.2g} bytes"
 
 
-def _short(sweep: Sweep, point: Point) -> str:
+def _short_label(sweep: Sweep, point: Point) -> str:
     """What of a setting is not the same in all."""
-    own = point.setting
-    named = {
-        "samples": f"{own.samples} rays",
-        "bandlimit": f"L = {own.bandlimit}",
-        "clusters": f"{own.clusters} caps",
-        "basis": own.basis,
-        "tolerance": f"tolerance {own.tolerance:g}",
-        "bounces": "all bounces" if own.bounces is None else f"{own.bounces} bounces",
+    setting = point.setting
+    texts = {
+        "samples": f"{setting.samples} rays",
+        "bandlimit": f"L = {setting.bandlimit}",
+        "clusters": f"{setting.clusters} caps",
+        "basis": setting.basis,
+        "tolerance": f"tolerance {setting.tolerance:g}",
+        "bounces": "all bounces" if setting.bounces is None else f"{setting.bounces} bounces",
     }
-    varied = [text for field, text in named.items() if len({getattr(p.setting, field) for p in sweep.points}) > 1]
-    return ", ".join(varied) or own.label
+    varied = [text for field, text in texts.items() if len({getattr(p.setting, field) for p in sweep.points}) > 1]
+    return ", ".join(varied) or setting.label
 
 
-def fronts(sweep: Sweep) -> dict[str, Any]:
-    """What a page needs to show errors against time and bytes."""
+def front_context(sweep: Sweep) -> dict[str, Any]:
+    """What the template of errors against time and bytes is rendered with."""
     return {
         "sweep": sweep,
         "sweep_command": sweep.command,
@@ -171,11 +170,11 @@ def fronts(sweep: Sweep) -> dict[str, Any]:
     }
 
 
-def _page(sweep: Sweep, shown: dict[str, Any]) -> str:
-    return pages.template("sweep.html.j2").render(
-        **shown,
+def _page(sweep: Sweep, context: dict[str, Any]) -> str:
+    return pages.load_template("sweep.html.j2").render(
+        **context,
         results=sweep.results(),
-        findings=findings(sweep),
+        setbacks=find_setbacks(sweep),
         command=sweep.command,
         name=Path(sweep.source).name,
     )
@@ -183,11 +182,8 @@ def _page(sweep: Sweep, shown: dict[str, Any]) -> str:
 
 def _cheapest(sweep: Sweep, name: str) -> list[tuple[float, Point | None]]:
     """The fastest setting for each of some errors."""
-    found: list[tuple[float, Point | None]] = []
-    for wanted in (0.2, 0.1, 0.05, 0.02):
-        good: Sequence[Point] = [point for point in sweep.points if point.error[name] <= wanted]
-        found.append((wanted, min(good, key=lambda point: point.seconds) if good else None))
-    return found
+    good = {wanted: [p for p in sweep.points if p.error[name] <= wanted] for wanted in (0.2, 0.1, 0.05, 0.02)}
+    return [(wanted, min(points, key=lambda p: p.seconds, default=None)) for wanted, points in good.items()]
 
 
 def describe(sweep: Sweep) -> list[dict[str, Any]]:
@@ -195,11 +191,11 @@ def describe(sweep: Sweep) -> list[dict[str, Any]]:
     return [
         {
             "environment": name,
-            "setting": _short(sweep, point),
+            "setting": _short_label(sweep, point),
             "error": point.error[name],
             "seconds": point.seconds,
             "bytes_per_vertex": point.bytes_per_vertex,
         }
         for name in sweep.environments
-        for point in pareto(sweep.points, name, "seconds")
+        for point in pareto_front(sweep.points, name, "seconds")
     ]

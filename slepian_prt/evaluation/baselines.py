@@ -1,7 +1,4 @@
-"""What Slepian bases are held against, as their authors would tune it.
-
-Clustered PCA must see all transfer vectors and store its bases; wavelets store which coefficients they kept.
-"""
+"""What others do, as their authors would tune it: wavelets on a cube, and what Direct3D's PRT library recommends."""
 
 from __future__ import annotations
 
@@ -12,9 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.grouping import Grouping
+from slepian_prt.compression.stream import compress
+from slepian_prt.relighting.relight import relight
+from slepian_prt.sphere.harmonics import num_coefficients, real_sh
+from slepian_prt.transport.transfer import Transfer
 
 _BLOCK = 4096
+
+# What Direct3D's PRT library (D3DX) recommends: SH of order 6, 24 PCA vectors.
+D3DX_BANDLIMIT, D3DX_TERMS = 5, 24
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class HaarTransfer:
 def haar_transfer(vectors: NDArray, terms: int, albedo: NDArray) -> HaarTransfer:
     """Keep the ``terms`` largest Haar coefficients of each of (V, channels, (L+1)²) transfer vectors."""
     channels, size = vectors.shape[1:]
-    bandlimit = bandlimit_of(size)
+    bandlimit = round(math.sqrt(size)) - 1
     side = 1 << max(2, math.ceil(math.log2(bandlimit + 1)))
     directions, solid_angles = cube_texels(side)
     samples = real_sh(bandlimit, directions) * np.sqrt(solid_angles)[:, None]
@@ -115,3 +120,40 @@ def haar_faces(faces: NDArray) -> NDArray:
             part[...] = np.concatenate([low, high])
         side //= 2
     return result
+
+
+@dataclass(frozen=True)
+class PaddedTransfer:
+    """Compressed transfer of a lower bandlimit, taken for that of a higher one.
+
+    Attributes
+    ----------
+    packed : CompressedTransfer
+    size : int
+        (L+1)² of the higher bandlimit L.
+    """
+
+    packed: CompressedTransfer
+    size: int
+
+    @property
+    def bytes_per_vertex(self) -> float:
+        return self.packed.bytes_per_vertex
+
+    def reconstruct(self) -> NDArray[np.float32]:
+        """Transfer vectors, zero above the lower bandlimit."""
+        vectors = self.packed.reconstruct()
+        padding = [(0, 0)] * (vectors.ndim - 1) + [(0, self.size - vectors.shape[-1])]
+        return np.pad(vectors, padding)
+
+    def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
+        """(V, 3) outgoing radiance under lighting (3, (L+1)²)."""
+        return relight(self.packed, lighting[:, : num_coefficients(self.packed.bandlimit)])
+
+
+def d3dx_transfer(transfer: Transfer, grouping: Grouping) -> PaddedTransfer:
+    """Clustered PCA of degrees up to 5 with 24 terms."""
+    bandlimit = min(transfer.bandlimit, D3DX_BANDLIMIT)
+    terms = min(D3DX_TERMS, num_coefficients(bandlimit))
+    packed = compress(transfer.at_bandlimit(bandlimit), "cpca", terms=terms, coding="float16", clusters=grouping)
+    return PaddedTransfer(packed, num_coefficients(transfer.bandlimit))
