@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 
@@ -65,6 +65,13 @@ def check_half_angle(half_angle: Any, name: str = "half_angle") -> float:
 def check_epsilon(epsilon: Any, name: str = "epsilon") -> float:
     """Return ``epsilon`` as a float; raise ValueError unless it lies in the open interval (0, 1)."""
     return _check_real(epsilon, name, "(0, 1)", lambda x: 0.0 < x < 1.0)
+
+
+def check_choice(value: Any, name: str, choices: Iterable[str]) -> None:
+    """Raise UserError unless ``value`` is one of the ``choices``."""
+    choices = tuple(choices)
+    if value not in choices:
+        raise UserError(f"{name} must be one of {', '.join(choices)}, not {value!r}")
 
 
 def _check_real(value: Any, name: str, interval: str, inside: Callable[[float], bool]) -> float:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.bases import LinearBasis
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.encoder import Coded
+from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.lighting.spectrum import falling_prior, light_power

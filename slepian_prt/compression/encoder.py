@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from slepian_prt.compression.bases import Candidate, LinearBasis
+from slepian_prt.compression.bases import Candidate
 from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.codec import tuning as codec_tuning
 from slepian_prt.compression.codec.caps import DecodedCap, EncodedCap, encode_cap
 from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE, Tuning
 from slepian_prt.compression.learning import LearnedBases
+from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation, by_degree
 from slepian_prt.compression.projection import Projection, count_by_rule

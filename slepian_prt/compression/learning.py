@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from slepian_prt.compression.bases import Candidate, Frame, LinearBasis, Problem, candidates
+from slepian_prt.compression.bases import Candidate, Frame, Problem, candidates
 from slepian_prt.compression.clustering import Clusters, frames_of, spread
 from slepian_prt.compression.grouping import Grouping
+from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import Pilot, decorrelated, learn, pilot_vertices
 from slepian_prt.compression.principal_components import pca_candidates
 from slepian_prt.compression.settings import CompressionSettings

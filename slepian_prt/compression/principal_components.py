@@ -11,8 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.bases import Candidate, LinearBasis
+from slepian_prt.compression.bases import Candidate
 from slepian_prt.compression.clustering import Clusters, enclosed
+from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import decorrelated
 from slepian_prt.compression.prediction import by_degree
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression import truncation
-from slepian_prt.compression.bases import Candidate, LinearBasis
+from slepian_prt.compression.bases import Candidate
 from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.checkpoint import Block, BlockStatistics, MemoryStore, Store
 from slepian_prt.compression.learning import LearnedBases
+from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import decorrelated
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.transport.estimator import TransferBlock

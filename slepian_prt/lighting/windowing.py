@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, check_choice
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 
 WINDOWS = ("hann", "lanczos")
@@ -32,8 +32,7 @@ def window(name: str, bandlimit: int, width: float) -> NDArray[np.float64]:
     UserError
         An unknown name, or a width that is not positive.
     """
-    if name not in WINDOWS:
-        raise UserError(f"window must be one of {', '.join(WINDOWS)}, not {name!r}")
+    check_choice(name, "window", WINDOWS)
     if not 0.0 < width < np.inf:
         raise UserError(f"width of the window must be larger than 0 degrees, not {width}")
     l = np.arange(bandlimit + 1)

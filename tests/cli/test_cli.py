@@ -136,7 +136,7 @@ BAD = {
         ["relight", "{}/ball.prt", "--environment", "{}/map.exr", "--width", "0", "-o", "{}/x.png"],
         "width must be",
     ),
-    "compare without map": (["compare", "{}/ball.ply", "-o", "{}/x"], "name a map as environment"),
+    "compare without map": (["compare", "{}/ball.ply", "-o", "{}/x"], "name a map with --environment"),
     "compare same map twice": (
         ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "--environment", "{}/map.exr", "-o", "{}/x"],
         "different names",

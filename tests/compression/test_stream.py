@@ -224,7 +224,7 @@ def test_shared_half_angles_are_a_little_wider(half_angle):
         ({"terms": 50}, r"terms must be an integer in \[1, 49\], not 50"),
         ({"tolerance": 0.0}, "tolerance must be a positive number"),
         ({"tolerance": float("nan")}, "tolerance must be a positive number"),
-        ({"tolerance": 0.1, "terms": 4}, "only one of tolerance, terms and truncate"),
+        ({"tolerance": 0.1, "terms": 4}, "only one of `tolerance`, `terms` and `truncate`"),
         ({"truncate": "n"}, "truncate must be one of n_g, n_ref, count"),
         ({"truncate": "n_g", "epsilon": 0.0}, "epsilon must be"),
         ({"basis": "fourier"}, "basis must be one of"),
