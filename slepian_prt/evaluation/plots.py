@@ -27,10 +27,21 @@ def encode_png(figure: Any) -> bytes:
     return buffer.getvalue()
 
 
-def scale_ordinate(axis: Any) -> None:
-    """A logarithmic ordinate, unless all errors are zero."""
+def finish_axis(axis: Any, abscissa: str, ordinate: str) -> None:
+    """Name the axes of a plot of errors; the ordinate is logarithmic unless all are zero, in per cent, with a grid."""
     if any(np.any(np.asarray(curve.get_ydata()) > 0.0) for curve in axis.get_lines()):
         axis.set_yscale("log")
+    axis.set_xlabel(abscissa)
+    axis.set_ylabel(ordinate)
+    axis.grid(True, which="both", color="#dddddd", linewidth=0.6)
+    axis.set_axisbelow(True)
+    formatter = matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %")
+    axis.yaxis.set_major_formatter(formatter)
+    low, high = axis.get_ylim()
+    if axis.get_yscale() == "log" and high / max(low, 1e-300) < 300.0:  # few decades: label between them too
+        between = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high / max(low, 1e-300) < 12.0 else (1.0, 2.0, 5.0)
+        axis.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=between))
+        axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
 def scale_abscissa(axis: Any, factor: float = 1.0, unit: str = "") -> None:
@@ -46,26 +57,12 @@ def add_legend(axis: Any) -> None:
     axis.legend(frameon=False, fontsize=10, loc="upper left", bbox_to_anchor=(1.01, 1.0))
 
 
-def add_grid(axis: Any) -> None:
-    """Grid, and errors in per cent."""
-    axis.grid(True, which="both", color="#dddddd", linewidth=0.6)
-    axis.set_axisbelow(True)
-    formatter = matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %")
-    axis.yaxis.set_major_formatter(formatter)
-    low, high = axis.get_ylim()
-    if axis.get_yscale() == "log" and high / max(low, 1e-300) < 300.0:  # few decades: label between them too
-        between = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0) if high / max(low, 1e-300) < 12.0 else (1.0, 2.0, 5.0)
-        axis.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=between))
-        axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
-
-
 def percent(value: float | None) -> str:
     """An error for readers, with two digits."""
     if value is None:
         return "–"
-    if value == 0.0:
-        return "0 %"
-    return f"{100 * value:.2g} %" if value < 0.1 else f"{100 * value:.0f} %"
+    number = "0" if value == 0.0 else f"{100 * value:.2g}" if value < 0.1 else f"{100 * value:.0f}"
+    return f"{number}\N{NO-BREAK SPACE}%"
 
 
 def seconds(value: float) -> str:

@@ -24,10 +24,7 @@ def plot_by_terms(comparison: Comparison) -> bytes:
         if basis == "adapted":
             predicted = [result.predicted_error for result in results]
             axis.plot(terms, predicted, "+", color="black", markersize=11, label="predicted for adapted", zorder=5)
-    plots.scale_ordinate(axis)
-    axis.set_xlabel("functions per vertex, K")
-    axis.set_ylabel("relative error of the transfer vectors")
-    plots.add_grid(axis)
+    plots.finish_axis(axis, "functions per vertex, K", "relative error of the transfer vectors")
     plots.add_legend(axis)
     return plots.encode_png(figure)
 
@@ -40,11 +37,10 @@ def plot_by_bytes(comparison: Comparison) -> bytes:
         for basis, results in _curves(comparison.methods, coded=coded).items():
             errors = [float(np.mean(list(result.relit_error.values()))) for result in results]
             _draw_curve(axis, basis, [result.bytes_per_vertex for result in results], errors, coded=coded)
-    plots.scale_ordinate(axis)
     plots.scale_abscissa(axis)
-    axis.set_xlabel("bytes per vertex, everything but the mesh counted")
-    axis.set_ylabel("relative error of relit radiance (mean)")
-    plots.add_grid(axis)
+    plots.finish_axis(
+        axis, "bytes per vertex, everything but the mesh counted", "relative error of relit radiance (mean)"
+    )
     plots.add_legend(axis)
     return plots.encode_png(figure)
 
@@ -56,11 +52,8 @@ def plot_relit(comparison: Comparison) -> bytes:
     for axis, name in zip(axes[0], names, strict=True):
         for basis, results in _curves(comparison.methods).items():
             _draw_curve(axis, basis, [r.terms for r in results], [r.relit_error[name] for r in results])
-        plots.scale_ordinate(axis)
         axis.set_title(name)
-        axis.set_xlabel("functions per vertex, K")
-        axis.set_ylabel("relative error of relit radiance")
-        plots.add_grid(axis)
+        plots.finish_axis(axis, "functions per vertex, K", "relative error of relit radiance")
     figure.tight_layout()
     plots.add_legend(axes[0, -1])
     return plots.encode_png(figure)
@@ -78,7 +71,8 @@ def _curves(results: Sequence[MethodResult], *, coded: bool = False) -> dict[str
 def _draw_curve(axis: Any, basis: str, x: Sequence[float], errors: Sequence[float], *, coded: bool = False) -> None:
     color, marker, dash = METHODS[basis].style
     label, face = (f"{basis}, coded", "none") if coded else (basis, color)
-    axis.plot(x, errors, dash, color=color, marker=marker, mfc=face, label=label, linewidth=1.8, markersize=6)
+    line = {"linestyle": dash or "none", "linewidth": 1.8, "marker": marker, "markersize": 6}
+    axis.plot(x, errors, color=color, markerfacecolor=face, label=label, **line)
 
 
 def plot_ladder(ladder: Sequence[StageError]) -> bytes:

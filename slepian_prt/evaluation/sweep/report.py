@@ -31,6 +31,9 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", "p", ">", "h", "*")
 _NAMED = 0.87
 _MOST_NAMED = 14
 
+# Width of a character below a plot, as a part of the width of the plot.
+_CHARACTER = 0.0128
+
 
 def write_sweep(sweep: Sweep, folder: str | Path) -> Path:
     """Write sweep.html, sweep.json, sweep.csv and the plots; return the path of the page.
@@ -80,11 +83,8 @@ def _plot(sweep: Sweep, name: str, cost: str, title: str) -> bytes:
     axis.step(x, y, where="post", color="#222222", linewidth=1.2, label="Pareto front")
     if sweep.noise[name] > _NEAR * min(point.error[name] for point in sweep.points):
         axis.axhline(sweep.noise[name], color="#777777", linestyle=":", linewidth=1.2, label="noise of the reference")
-    plots.scale_ordinate(axis)
     plots.scale_abscissa(axis)
-    axis.set_xlabel(title)
-    axis.set_ylabel(f"relative error under {name}")
-    plots.add_grid(axis)
+    plots.finish_axis(axis, title, f"relative error under {name}")
     _name_points(axis, sweep, _well_apart(front, name), name, cost)
     plots.add_legend(axis)
     return plots.encode_png(figure)
@@ -115,9 +115,9 @@ def _name_points(axis: Any, sweep: Sweep, points: Sequence[Point], name: str, co
         axis.annotate(str(number), place, xytext=(6, 6), textcoords="offset points", fontsize=10)
         error, amount = plots.percent(point.error[name]), _amount(point, cost)
         lines.append(f"{number}  {_short_label(sweep, point)}: {error}, {amount}")
-    half = (len(lines) + 1) // 2
+    half, apart = (len(lines) + 1) // 2, _CHARACTER * (2 + max(map(len, lines), default=0))
     for column, part in enumerate((lines[:half], lines[half:])):
-        axis.text(0.62 * column, -0.2, "\n".join(part), transform=axis.transAxes, va="top", fontsize=9)
+        axis.text(apart * column, -0.2, "\n".join(part), transform=axis.transAxes, va="top", fontsize=9)
 
 
 def _well_apart(front: Sequence[Point], name: str) -> list[Point]:
