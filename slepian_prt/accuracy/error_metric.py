@@ -15,12 +15,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.encoder import Encoder, Trial
 from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
-from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.transport.transfer import LARGEST_BANDLIMIT, PlannedScene
 
 # References per vertex take at most this many samples.
@@ -30,19 +29,19 @@ _MOST_SAMPLES = 1 << 15
 _MANY_BOUNCES = 16
 
 
-class Error(NamedTuple):
+class VertexError(NamedTuple):
     """Squared relative errors at the bandlimits 0, 1, …, L under each light.
 
     Attributes
     ----------
     squared : (L+1, lights)
         Noise of the reference taken off; never negative.
-    deviation : (L+1, lights)
+    standard_error : (L+1, lights)
         Relative standard error of the root of it, because only some vertices were looked at.
     """
 
     squared: NDArray[np.float64]
-    deviation: NDArray[np.float64]
+    standard_error: NDArray[np.float64]
 
 
 class ErrorMetric(Protocol):
@@ -61,25 +60,26 @@ class ErrorMetric(Protocol):
         """(lights,) relative RMS of that of the reference."""
         ...
 
-    def part(self, rows: slice) -> ErrorMetric:
+    def subset(self, rows: slice) -> ErrorMetric:
         """The same at some of the vertices."""
         ...
 
-    def errors(self, vectors: NDArray) -> Error:
+    def errors(self, vectors: NDArray) -> VertexError:
         """Of transfer vectors (n, channels, (L+1)²) at the vertices, cut at every bandlimit."""
         ...
 
-    def apart(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+    def squared_difference(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         """(L+1, lights) mean squared differences, cut at every bandlimit, over the mean square of the reference."""
         ...
 
-    def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+    def inner_product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         """(lights,) mean products of the radiance of two sets of vectors (n, channels, (L+1)²) at any vertices, over
         the mean square of the reference."""
         ...
 
-    def of_coding(self, work: Encoder, trial: Trial) -> NDArray[np.float64]:
-        """(lights,) squared relative errors that compression is expected to make, from coding some caps."""
+    @property
+    def reference_square(self) -> NDArray[np.float64]:
+        """(lights,) mean square of the reference."""
         ...
 
 
@@ -87,7 +87,8 @@ class ErrorMetric(Protocol):
 class MapMetric:
     """Radiance at the vertices under maps, by Monte Carlo without a bandlimit."""
 
-    environments: tuple[Environment, ...]
+    names: tuple[str, ...]
+    lighting: tuple[NDArray[np.float64], ...]
     vertices: NDArray[np.int64]
     references: tuple[ReferenceVertices, ...]
     albedo: NDArray[np.float64]
@@ -115,30 +116,22 @@ class MapMetric:
             for environment in environments
         )
         albedo = np.ones((len(vertices), 3)) if view is not None else planned.scene.mesh.albedo[vertices]
-        return cls(tuple(environments), vertices, references, albedo.astype(np.float64))
+        names = tuple(environment.name for environment in environments)
+        lighting = tuple(project_environment(environment, LARGEST_BANDLIMIT) for environment in environments)
+        return cls(names, lighting, vertices, references, albedo.astype(np.float64))
 
-    def part(self, rows: slice) -> MapMetric:
+    def subset(self, rows: slice) -> MapMetric:
         references = tuple(replace(reference, radiance=reference.radiance[rows]) for reference in self.references)
-        found = replace(self, vertices=self.vertices[rows], references=references, albedo=self.albedo[rows])
-        found.__dict__["_lighting"] = self._lighting
-        return found
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(environment.name for environment in self.environments)
+        return replace(self, vertices=self.vertices[rows], references=references, albedo=self.albedo[rows])
 
     @property
     def noise(self) -> NDArray[np.float64]:
         return np.array([reference.noise for reference in self.references])
 
-    @cached_property
-    def _lighting(self) -> list[NDArray[np.float64]]:
-        return [project_environment(environment, LARGEST_BANDLIMIT) for environment in self.environments]
-
-    def errors(self, vectors: NDArray) -> Error:
+    def errors(self, vectors: NDArray) -> VertexError:
         bandlimit = math.isqrt(vectors.shape[2]) - 1
         squared, deviation = [], []
-        for lighting, reference in zip(self._lighting, self.references, strict=True):
+        for lighting, reference in zip(self.lighting, self.references, strict=True):
             # What the reference sees as black may be inside other geometry, where transfer borrows from neighbours.
             lit = reference.radiance.any(axis=1)
             exact = reference.radiance[lit].astype(np.float64)
@@ -151,13 +144,13 @@ class MapMetric:
                 found.append(np.sum(missing**2, axis=1))
             one = _error(np.array(found), scale, np.full(bandlimit + 1, reference.noise**2))
             squared.append(one.squared[:, 0])
-            deviation.append(one.deviation[:, 0])
-        return Error(np.stack(squared, axis=1), np.stack(deviation, axis=1))
+            deviation.append(one.standard_error[:, 0])
+        return VertexError(np.stack(squared, axis=1), np.stack(deviation, axis=1))
 
-    def apart(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+    def squared_difference(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         bandlimit = math.isqrt(first.shape[2]) - 1
-        found = np.zeros((bandlimit + 1, len(self.environments)))
-        for i, (lighting, scale) in enumerate(zip(self._lighting, self._scales, strict=True)):
+        found = np.zeros((bandlimit + 1, len(self.names)))
+        for i, (lighting, scale) in enumerate(zip(self.lighting, self.reference_square, strict=True)):
             sums = np.zeros((len(first), 3))
             for l in range(bandlimit + 1):
                 degree = slice(l * l, (l + 1) ** 2)
@@ -166,9 +159,9 @@ class MapMetric:
                 found[l, i] = float(np.mean(np.sum(sums**2, axis=1))) / scale if scale > 0.0 else 0.0
         return found
 
-    def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+    def inner_product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         found = []
-        for lighting, scale in zip(self._lighting, self._scales, strict=True):
+        for lighting, scale in zip(self.lighting, self.reference_square, strict=True):
             light = lighting[:, : first.shape[2]]
             a, b = (np.einsum("ncm,cm->nc", _channels(vectors), light) for vectors in (first, second))
             mean = float(np.mean(a * b, axis=0) @ np.mean(self.albedo**2, axis=0))
@@ -176,17 +169,8 @@ class MapMetric:
         return np.array(found)
 
     @cached_property
-    def _scales(self) -> list[float]:
-        """Mean squares of the references."""
-        return [float(np.mean(np.sum(r.radiance.astype(np.float64) ** 2, axis=1))) for r in self.references]
-
-    def of_coding(self, work: Encoder, trial: Trial) -> NDArray[np.float64]:
-        found = []
-        size = num_coefficients(work.bandlimit)
-        for lighting, scale in zip(self._lighting, self._scales, strict=True):
-            squares = work.under(trial.errors, trial.missed, lighting[:, :size]) * np.mean(self.albedo**2, axis=0)
-            found.append(float(squares.sum()) / scale if scale > 0.0 else 0.0)
-        return np.array(found)
+    def reference_square(self) -> NDArray[np.float64]:
+        return np.array([np.mean(np.sum(r.radiance.astype(np.float64) ** 2, axis=1)) for r in self.references])
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +208,7 @@ class SpectrumMetric:
         first, second = (half[:, None, :] for half in halves)
         return cls(prior.name, vertices, prior.weights**2, (first, second), beyond)
 
-    def part(self, rows: slice) -> SpectrumMetric:
+    def subset(self, rows: slice) -> SpectrumMetric:
         first, second = (half[rows] for half in self.halves)
         return replace(self, vertices=self.vertices[rows], halves=(first, second))
 
@@ -246,7 +230,7 @@ class SpectrumMetric:
         _, noise, whole = self._degrees
         return np.array([math.sqrt(float(noise.sum()) / whole) if whole > 0.0 else 0.0])
 
-    def errors(self, vectors: NDArray) -> Error:
+    def errors(self, vectors: NDArray) -> VertexError:
         bandlimit = math.isqrt(vectors.shape[2]) - 1
         reference, noise, whole = self._degrees
         held = min(bandlimit, self.power.size - 1)
@@ -258,7 +242,7 @@ class SpectrumMetric:
         squares = np.concatenate([squares, np.repeat(squares[-1:], bandlimit - held, axis=0)])
         return _error(squares, whole, np.full(bandlimit + 1, float(noise.sum()) / whole if whole > 0.0 else 0.0))
 
-    def apart(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+    def squared_difference(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         _, _, whole = self._degrees
         bandlimit = math.isqrt(first.shape[2]) - 1
         held = min(bandlimit, self.power.size - 1)
@@ -267,29 +251,27 @@ class SpectrumMetric:
         off = np.concatenate([off, np.full(bandlimit - held, off[-1])])
         return off[:, None] / whole if whole > 0.0 else np.zeros((bandlimit + 1, 1))
 
-    def product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
+    def inner_product(self, first: NDArray, second: NDArray) -> NDArray[np.float64]:
         _, _, whole = self._degrees
         size = min(first.shape[2], self.power.size**2)
         products = np.mean(first[:, :, :size].astype(np.float64) * second[:, :, :size], axis=(0, 1))
         by_degree = np.bincount(degrees(math.isqrt(size) - 1), products)
         return np.array([float(self.power[: by_degree.size] @ by_degree) / whole if whole > 0.0 else 0.0])
 
-    def of_coding(self, work: Encoder, trial: Trial) -> NDArray[np.float64]:
-        _, _, whole = self._degrees
-        lost = trial.expected.lost
-        held = min(lost.size, self.power.size)
-        return np.array([float(self.power[:held] @ lost[:held]) / whole if whole > 0.0 else 0.0])
+    @property
+    def reference_square(self) -> NDArray[np.float64]:
+        return np.array([self._degrees[2]])
 
 
-def _error(squares: NDArray, scale: float, noise: NDArray) -> Error:
+def _error(squares: NDArray, scale: float, noise: NDArray) -> VertexError:
     """From (L+1, n) squared errors of single vertices."""
     if scale == 0.0:
-        return Error(np.zeros((len(squares), 1)), np.zeros((len(squares), 1)))
+        return VertexError(np.zeros((len(squares), 1)), np.zeros((len(squares), 1)))
     mean = squares.mean(axis=1)
     spread = squares.std(axis=1) / np.sqrt(squares.shape[1])
     squared = np.maximum(mean / scale - noise, 0.0)
     deviation = np.where(squared > 0.0, 0.5 * spread / scale / np.maximum(squared, 1e-300), 1.0)
-    return Error(squared[:, None], np.minimum(deviation, 1.0)[:, None])
+    return VertexError(squared[:, None], np.minimum(deviation, 1.0)[:, None])
 
 
 def _channels(vectors: NDArray) -> NDArray:
