@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from slepian_prt.accuracy.transport_pilot import SAMPLES, TransportPilot, pilot_vertices
 
 from slepian_prt.accuracy.coding_pilot import CodingPilot
-from slepian_prt.accuracy.transport_pilot import SAMPLES, TransportPilot, pilot_vertices
 from slepian_prt.compression.encoder import Encoder
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.settings import CompressionSettings

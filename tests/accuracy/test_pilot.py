@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from slepian_prt.accuracy.transport_pilot import BANDLIMITS, PILOT, SAMPLES, TransportPilot, pilot_vertices
+
 from slepian_prt.evaluation.vertex_error import MapMetric
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.transport.planned import plan_scene
