@@ -95,18 +95,21 @@ def relative_mse(picture: Picture, reference: Picture) -> float:
 
 
 def flip(picture: Picture, reference: Picture, scale: float) -> float:
-    """Mean FLIP over covered pixels of both pictures tone-mapped with exposure ``scale``, over white.
+    """Mean FLIP over covered pixels; see `flip_errors`."""
+    errors = flip_errors(picture, reference, scale)
+    return float(errors.mean()) if errors.size else 0.0
+
+
+def flip_errors(picture: Picture, reference: Picture, scale: float) -> NDArray[np.float32]:
+    """FLIP of the pixels that the reference covers, both pictures tone-mapped with exposure ``scale``, over white.
 
     P. Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020; at 67 pixels per degree.
     """
     import flip_evaluator
 
-    covered = reference.alpha > 0.0
-    if not covered.any():
-        return 0.0
     images = [to_srgb(one, scale).astype(np.float32) / 255.0 for one in (reference, picture)]
     errors, _, _ = flip_evaluator.evaluate(*images, "LDR", applyMagma=False)
-    return float(np.asarray(errors)[..., 0][covered].mean())
+    return np.asarray(errors, dtype=np.float32)[..., 0][reference.alpha > 0.0]
 
 
 def error_map(picture: Picture, reference: Picture) -> NDArray[np.float64]:
