@@ -174,7 +174,8 @@ def test_coded_again_where_a_trial_was_too_hopeful(monkeypatch):
 
     def hopeful(self, allowance):
         trial = original(self, allowance)
-        return replace(trial, learned=trial.learned.with_tolerance(1.3 * trial.tolerance))
+        learned, warm_start = trial.learned.with_tolerance(1.3 * trial.tolerance), trial.warm_start.scaled(1.3)
+        return replace(trial, learned=learned, warm_start=warm_start)
 
     monkeypatch.setattr(CodingPilot, "fit_tolerance", hopeful)
     found = precompute_within(bumpy(4), Goal(error=0.02), LIGHT, FEW, TransportSettings(), report=told.append)
@@ -183,8 +184,8 @@ def test_coded_again_where_a_trial_was_too_hopeful(monkeypatch):
     assert again[-1] < found.chosen.tolerance
     assert found.verification.error[0] <= 0.02
     assert sum(what.startswith("bases") for what in told) == 1
-    # What the tolerance is about is met, and no more than that.
-    assert 0.9 * again[-1] < found.packed.predicted_error_under_prior < 1.01 * again[-1]
+    # What the tolerance is about is met, and not much more than that.
+    assert 0.8 * again[-1] < found.packed.predicted_error_under_prior < 1.01 * again[-1]
 
 
 def test_nothing_more_to_hold_out():
