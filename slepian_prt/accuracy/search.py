@@ -213,7 +213,9 @@ def _what_can_be_had(table: Table, error: float) -> str:
 
 
 def _toward_time(table: Table, seconds: float, spent: float) -> Step:
-    tuning = table.tuning
+    tuning, last = table.tuning, _last_candidate(table)
+    if last is not None and last.share is None:
+        return _code_in_time(table, (last.samples, last.bandlimit))
     timed = [choice for choice in table.choices if choice.step.share is None]
     keep = (1.0 - tuning.time_free) * seconds
     if timed:
@@ -225,9 +227,6 @@ def _toward_time(table: Table, seconds: float, spent: float) -> Step:
             f"{seconds:g} seconds cannot be kept: loading, planning and the pilot took {spent:.1f}; ask for "
             f"`max_seconds={math.ceil(2.0 * spent)}` or more"
         )
-    last = _last_candidate(table)
-    if last is not None and last.share is None:
-        return _code_in_time(table, (last.samples, last.bandlimit))
     trial = None if timed else _explore(table, 0.0, 0.0, tuning.time_to_explore * (keep - spent))
     if trial is not None:
         return trial
