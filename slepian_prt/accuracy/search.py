@@ -103,14 +103,8 @@ def _next_trial(table: Table, target: float, seconds: float) -> Combination | No
 
 
 def _toward_error(table: Table, error: float) -> Step:
-    stages: Sequence[Stage] = table.tuning.stages
     choices = [choice for choice in table.choices if choice.step.share is not None]
-    if choices:  # the stage that led to them goes on
-        open_stages = (
-            s for s in stages if any(_allowance(table, c.combination, error, s.margin) is not None for c in choices)
-        )
-        stages = [next(open_stages, stages[-1])]
-    for stage in stages:
+    for stage in _stages(table, choices, error):
         trial: Step | None = _code_last_candidate(table, error, stage.margin)
         if trial is None and not choices:
             trial = _explore(table, stage.target * error, stage.sufficient * error)
@@ -120,6 +114,17 @@ def _toward_error(table: Table, error: float) -> Step:
     if choices:
         return Choose(min(choices, key=lambda choice: choice.seconds))
     return Refuse(_what_can_be_had(table, error))
+
+
+def _stages(table: Table, choices: list[Choice], error: float) -> Sequence[Stage]:
+    """All of them; once there are choices, the stage that led to them."""
+    stages = table.tuning.stages
+    if not choices:
+        return stages
+    allowing = (
+        s for s in stages if any(_allowance(table, c.combination, error, s.margin) is not None for c in choices)
+    )
+    return [next(allowing, stages[-1])]
 
 
 def _code_last_candidate(table: Table, error: float, margin: float) -> MeasureCoding | None:
@@ -142,17 +147,19 @@ def _next_candidate(
     begin = 1 + max((tuning.shares.index(c.step.share) for c in choices if c.step.share is not None), default=-1)
     coded = {choice.combination for choice in choices}
     for share in tuning.shares[begin:]:
-        allowances = {c: _allowance(table, c, error, margin) for c in table.feasible(share * error) if c not in coded}
         # Transport that takes as long as the best choice in all cannot lead to a better one.
-        left = [c for c in allowances if table.transport_seconds(*c) < tuning.hopeless * best]
-        left = [c for c in left if allowances[c] is not None]
-        if not left or sum(trial.step.share == share for trial in table.transport) >= tuning.attempts:
+        candidates = (
+            c
+            for c in table.feasible(share * error)
+            if c not in coded and table.transport_seconds(*c) < tuning.hopeless * best
+        )
+        allowances = {c: a for c in candidates if (a := _allowance(table, c, error, margin)) is not None}
+        if not allowances or sum(trial.step.share == share for trial in table.transport) >= tuning.attempts:
             continue
-        fastest = min(left, key=lambda c: table.seconds(*c))
-        allowance = allowances[fastest]
-        if table.trial(*fastest) is None or allowance is None:
+        fastest = min(allowances, key=lambda c: table.seconds(*c))
+        if table.trial(*fastest) is None:
             return MeasureTransport(*fastest, share, candidate=True)
-        return MeasureCoding(*fastest, allowance, share)
+        return MeasureCoding(*fastest, allowances[fastest], share)
     return None
 
 
@@ -206,7 +213,9 @@ def _what_can_be_had(table: Table, error: float) -> str:
 
 
 def _toward_time(table: Table, seconds: float, spent: float) -> Step:
-    tuning = table.tuning
+    tuning, last = table.tuning, _last_candidate(table)
+    if last is not None and last.share is None:
+        return _code_in_time(table, (last.samples, last.bandlimit))
     timed = [choice for choice in table.choices if choice.step.share is None]
     keep = (1.0 - tuning.time_free) * seconds
     if timed:
@@ -218,20 +227,15 @@ def _toward_time(table: Table, seconds: float, spent: float) -> Step:
             f"{seconds:g} seconds cannot be kept: loading, planning and the pilot took {spent:.1f}; ask for "
             f"`max_seconds={math.ceil(2.0 * spent)}` or more"
         )
-    last = _last_candidate(table)
-    if last is not None and last.share is None:
-        return _code_in_time(table, (last.samples, last.bandlimit))
     trial = None if timed else _explore(table, 0.0, 0.0, tuning.time_to_explore * (keep - spent))
     if trial is not None:
         return trial
     candidate = _most_exact_candidate(table, timed, tuning.time_for_run * (keep - spent))
     if candidate in {choice.combination for choice in timed}:
         return _most_exact(table, seconds, spent)
-    return (
-        MeasureTransport(*candidate, candidate=True)
-        if table.trial(*candidate) is None
-        else _code_in_time(table, candidate)
-    )
+    if table.trial(*candidate) is None:
+        return MeasureTransport(*candidate, candidate=True)
+    return _code_in_time(table, candidate)
 
 
 def _code_in_time(table: Table, combination: Combination) -> MeasureCoding:

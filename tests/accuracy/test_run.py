@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from slepian_prt.accuracy import run
-from slepian_prt.accuracy.goal import Goal
-from slepian_prt.accuracy.run import Light, precompute_within
+from slepian_prt.accuracy.coding_pilot import CodingPilot
+from slepian_prt.accuracy.goal import Goal, Light
+from slepian_prt.accuracy.run import precompute_within
 from slepian_prt.cli import main
 from slepian_prt.compression.codec import caps as codec
 from slepian_prt.compression.prt_file import load
@@ -145,7 +145,8 @@ def pretended(monkeypatch):
         return encode(coefficients, *rest, **options)
 
     monkeypatch.setattr(DirectTransfer, "trace", traced)
-    monkeypatch.setattr(codec, "encode_cap", encoded)
+    for module in ("encoder", "trial"):
+        monkeypatch.setattr(f"slepian_prt.compression.{module}.encode_cap", encoded)
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
 
 
@@ -196,20 +197,40 @@ def test_a_scene_is_measured_in_its_own_light():
 @pytest.mark.slow
 def test_if_it_was_not_met_it_is_done_again(monkeypatch):
     """A pilot that is too hopeful is found out on the vertices held out."""
-    original = run.CodingPilot.within
+    original = CodingPilot.fit_tolerance
     told = []
 
-    def hopeful(self, squared):
-        return original(self, squared if any("aimed lower" in what for what in told) else 2.5 * squared)
+    def hopeful(self, allowance):
+        return original(self, allowance if any("aimed lower" in what for what in told) else 2.5 * allowance)
 
-    monkeypatch.setattr(run.CodingPilot, "within", hopeful)
+    monkeypatch.setattr(CodingPilot, "fit_tolerance", hopeful)
     found = precompute_within(bumpy(5), Goal(error=0.05), LIGHT, FEW, TransportSettings(), report=told.append)
     again = [what for what in told if "aimed lower" in what]
     assert len(again) == 1
     assert found.verification.error[0] <= 0.05
 
 
-@pytest.mark.slow
+def test_coded_again_where_a_trial_was_too_hopeful(monkeypatch):
+    """Vertices that were chosen by have the error that was aimed at, after finer tolerances on the same blocks."""
+    original = CodingPilot.fit_tolerance
+    told = []
+
+    def hopeful(self, allowance):
+        trial = original(self, allowance)
+        learned, warm_start = trial.learned.with_tolerance(1.3 * trial.tolerance), trial.warm_start.scaled(1.3)
+        return replace(trial, learned=learned, warm_start=warm_start)
+
+    monkeypatch.setattr(CodingPilot, "fit_tolerance", hopeful)
+    found = precompute_within(bumpy(4), Goal(error=0.02), LIGHT, FEW, TransportSettings(), report=told.append)
+    again = [float(what.split()[-1]) for what in told if what.startswith("coding once more, tolerance")]
+    assert 1 <= len(again) <= 2
+    assert again[-1] < found.chosen.tolerance
+    assert found.verification.error[0] <= 0.02
+    assert sum(what.startswith("bases") for what in told) == 1
+    # What the tolerance is about is met, and not much more than that.
+    assert 0.8 * again[-1] < found.packed.predicted_error_under_prior < 1.01 * again[-1]
+
+
 def test_nothing_more_to_hold_out():
     """On a mesh that the pilot has seen whole, a miss is told, and is no error."""
     mesh = bumpy(1)
