@@ -253,6 +253,7 @@ def test_adapted_prediction_on_the_skull(data):
         assert packed.predicted_error == pytest.approx(error(packed, transfer), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_family_is_what_each_would_be_alone(shadowed):
     """Shared bases and projections change nothing but rounding of the sums."""
     settings = Settings(clusters=16)

@@ -103,6 +103,7 @@ def test_lobes_are_clustered_by_reflection(write):
     np.testing.assert_allclose(twice, 2.0 * theta, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_compresses_and_comes_back(write, tmp_path):
     from slepian_prt.compression.compressed import load
 
