@@ -237,6 +237,7 @@ def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):
         assert len(list(cache.iterdir())) == number + 1
 
 
+@pytest.mark.slow
 def test_a_pilot_that_saw_too_little_is_made_up_for(monkeypatch):
     """The second moment of one vertex foresees far too few functions; the tolerance is kept all the same."""
     monkeypatch.setattr("slepian_prt.compression.pilot.PILOT_SIZE", 1)
@@ -284,6 +285,7 @@ def test_a_process_that_is_killed(tmp_path, cache):
     assert list(cache.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
     """Beyond the mesh: of vertices that are four times as many, coefficients are held, their vectors are not.
 

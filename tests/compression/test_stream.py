@@ -254,6 +254,7 @@ def test_adapted_prediction_on_the_skull(data):
         assert packed.predicted_error == pytest.approx(error(packed, transfer), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_tolerance_sweep_is_what_each_would_be_alone(shadowed):
     """Shared bases and projections change nothing but rounding of the sums."""
     settings = CompressionSettings(clusters=16)

@@ -190,6 +190,7 @@ def test_the_command(folder):
     assert not [name for name in os.listdir(folder / "out") if "partial" in name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -215,6 +216,7 @@ def test_wrong_requests(arguments, message, folder):
     assert not (folder / "never").exists()
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_not_there(folder):
     command = [sys.executable, "-m", "slepian_prt", "sweep", "none.ply", "--environment", "sky.exr", "-o", "never"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)

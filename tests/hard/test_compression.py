@@ -167,6 +167,7 @@ def test_many_pieces_without_neighbours(tmp_path):
     assert error(read, transfer) <= 0.0201
 
 
+@pytest.mark.slow
 def test_no_seam_between_clusters_at_the_default_tolerance(rng):
     """Errors at the ends of an edge between clusters differ at most as if they had nothing to do with each other."""
     transfer = precompute(bumpy(5), bandlimit=8, samples=512)

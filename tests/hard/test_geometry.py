@@ -165,6 +165,7 @@ def test_a_small_model_beside_a_large_floor():
     np.testing.assert_allclose(beside_floor(0.5e-4, 1e4), beside_floor(0.5, 1e3), atol=0.02)
 
 
+@pytest.mark.slow
 def test_closed_geometry_around_is_exactly_dark():
     """Not one leaking ray, whatever shape the room has."""
     for room in (inside_out(sphere(4)), inside_out(bumpy(4))):

@@ -84,6 +84,7 @@ def test_rotating_the_light_is_rotating_the_scene_back():
 # --- Against Mitsuba -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_vertex_reference_agrees_where_sh_is_exact():
     """A sky of degree 1 has no bandlimit error; what differs is the noise of both sides."""
     mesh, sky = bumpy(3), make_environment(smooth_sky())

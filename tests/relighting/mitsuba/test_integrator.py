@@ -229,6 +229,7 @@ def test_what_is_not_in_the_file_is_drawn_as_direct_would(mi, folder):
     assert np.median(black[:4]) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sides", [1, 2])
 def test_the_back_of_a_surface_is_drawn_as_direct_would(sides, mi, tmp_path):
     """A bowl looked into: transfer knows light on its outside only, and a material with two sides is lit within."""
@@ -326,6 +327,7 @@ def test_turning_the_light_is_turning_the_scene_back(angle, mi, folder, rng):
 # --- Gradients -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["emitter.data", "emitter.scale", "integrator.albedo"])
 def test_gradients_are_those_of_finite_differences(key, mi, folder, rng):
     import drjit as dr
