@@ -152,6 +152,7 @@ def content(packed, tmp_path) -> dict[str, bytes]:
         return {name: container.read(name) for name in container.namelist() if name != "manifest.json"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -183,6 +184,7 @@ def test_streamed_is_as_good_as_in_memory(settings, tmp_path):
     assert_rounded(read, streamed.reconstruct(), terms=2 * 49, size=1.0)  # vectors are shorter than one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0, 1, 3, 6])
 def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, monkeypatch, cache, caplog):
     monkeypatch.setattr("slepian_prt.transport.direct._RAYS_PER_BLOCK", 1 << 16)
@@ -314,6 +316,7 @@ def test_convex_streams_without_a_ray():
     assert packed.rays_traced == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group_by", ["normal", "bent", "surface"])
 @pytest.mark.parametrize("classes", [1, 3])
 def test_relighting_is_reconstruction_times_light_however_grouped(group_by, classes, rng):

@@ -79,6 +79,7 @@ def same(found, here) -> None:
             assert_rounded(one, other, terms=len(one[0]) ** 2, size=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_under_another_kernel_of_openblas(kernel, file, here, record_property):
     if not __cpu_features__.get(KERNELS[kernel]):
@@ -88,6 +89,7 @@ def test_under_another_kernel_of_openblas(kernel, file, here, record_property):
     same(found, here)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [0, 1])
 def test_with_fewer_instructions_in_numpy(kept, file, here):
     """None of what numpy chooses by processor, and only the first of it."""

@@ -116,6 +116,7 @@ def test_picture_agrees_with_the_path_tracer_where_sh_is_exact(shape):
     assert abs(difference.mean()) <= 0.004 * reference.picture.radiance[inside].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0.6, 0.5, 0.6]])
 def test_the_lit_side_is_the_references_lit_side(direction):
     axis = np.array(direction) / np.linalg.norm(direction)

@@ -24,6 +24,7 @@ def promised(transfer) -> float:
     return (row.contribution or 0.0) + (row.confidence or 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene",
     [
