@@ -12,7 +12,7 @@ from slepian_prt.cli.terminal import describe, print_plan, print_table, progress
 if TYPE_CHECKING:
     from slepian_prt.accuracy.goal import Goal
     from slepian_prt.accuracy.run import BudgetedResult, Light
-    from slepian_prt.accuracy.search import Choice
+    from slepian_prt.accuracy.trials import Choice
     from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.transport.settings import TransportSettings
 

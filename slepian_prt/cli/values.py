@@ -13,7 +13,7 @@ from slepian_prt.cli.messages import note
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
-    from slepian_prt.accuracy.run import Light
+    from slepian_prt.accuracy.goal import Light
     from slepian_prt.lighting.environment import Environment
 
 Settings = TypeVar("Settings")
@@ -100,7 +100,7 @@ def _read_map(path: str, clamp_negative: bool) -> Environment:
 
 def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Light:
     """The light that errors count under: maps, and what compression is made for."""
-    from slepian_prt.accuracy.run import Light
+    from slepian_prt.accuracy.goal import Light
     from slepian_prt.lighting.spectrum import FALLING
 
     if "" in light_prior:

@@ -241,7 +241,7 @@ def _sample_toward(scene: Scene, lit: Any, view: View, samples: int, seed: int, 
         origin = dr.gather(mi.Point3f, mi.Point3f(origins[chosen].T.astype(np.float32)), vertex)
         direction = dr.gather(mi.Vector3f, mi.Vector3f(-toward[facing[chosen]].T.astype(np.float32)), vertex)
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed * 7919 + begin, size * samples)
+        sampler.seed((seed * 7919 + begin) % 2**32, size * samples)
         radiance, _, _ = integrator.sample(lit, sampler, mi.RayDifferential3f(mi.Ray3f(origin, direction)))
         summed = dr.zeros(mi.Color3f, size)
         dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(radiance), vertex)

@@ -24,6 +24,7 @@ from slepian_prt.lighting.environment import make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import light_power
 from slepian_prt.sphere.harmonics import degrees
+from slepian_prt.transport.estimator import TransferBlock
 from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import compute_transfer, precompute
@@ -46,7 +47,8 @@ def trial(shadowed):
     vectors = shadowed.vectors[pilot_of(grouping, 0)]
     projection = choose_projection(learn_bases(settings, shadowed.mesh.receivers, grouping, 6, 0, vectors))
     store, count = MemoryStore(), len(shadowed.vectors)
-    store.add(0, projection.block(np.arange(count), shadowed.vectors, np.zeros(count), 0))
+    block = TransferBlock(np.arange(count), shadowed.vectors, np.zeros(count, dtype=np.float32), 0)
+    store.add(0, projection.block(block))
     return try_caps(projection, projection.caps(store), range(len(projection.bases)))
 
 

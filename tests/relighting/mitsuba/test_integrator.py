@@ -110,16 +110,16 @@ def loaded(mi, folder, emitter=None, integrator=None, **others):
 SPP = 16  # samples, and so terms in the sum of a pixel
 
 
-def picture(scene, **options):
+def picture(mi, scene, **options):
     return np.array(mi.render(scene, **{"spp": SPP, "seed": 1, **options}))
 
 
-def runs(scene, count: int = 24, **options):
+def runs(mi, scene, count: int = 24, **options):
     """Pictures with random numbers of their own each."""
-    return np.stack([picture(scene, **{**options, "seed": seed}) for seed in range(1, count + 1)])
+    return np.stack([picture(mi, scene, **{**options, "seed": seed}) for seed in range(1, count + 1)])
 
 
-def painted(scene, radiance, name: str = "bumpy"):
+def painted(mi, scene, radiance, name: str = "bumpy"):
     """The scene with Mitsuba's own interpolation of colours at the vertices of a shape; black elsewhere."""
     import drjit as dr
 
@@ -132,7 +132,7 @@ def painted(scene, radiance, name: str = "bumpy"):
             front = si.is_valid() & (dr.dot(si.n, ray.d) < 0.0)
             return dr.select(front, si.shape.eval_attribute_3("vertex_radiance", si, front), 0.0), front, []
 
-    return picture(scene, integrator=Painted(mi.Properties()))
+    return picture(mi, scene, integrator=Painted(mi.Properties()))
 
 
 def packed_of(folder):
@@ -157,9 +157,9 @@ def test_the_picture_is_that_of_relit_vertices(rotate, mi, folder):
     scene = loaded(mi, folder, emitter, {"hide_emitters": True})
     packed = packed_of(folder)
     radiance = relight(packed, 2.5 * project_environment(sky(), 6, rotate=rotate))
-    expected = painted(scene, radiance)
+    expected = painted(mi, scene, radiance)
     assert expected.max() > 0.5
-    assert_same_picture(picture(scene), expected, atol=1e-4 * expected.max())
+    assert_same_picture(picture(mi, scene), expected, atol=1e-4 * expected.max())
 
 
 @pytest.mark.slow
@@ -169,8 +169,8 @@ def test_other_distant_lights(kind, mi, folder):
                "sunsky": {"type": "sunsky", "sun_direction": [0.4, 0.7, 0.3], "turbidity": 4.0}}[kind]  # fmt: skip
     scene = loaded(mi, folder, emitter, {"hide_emitters": True})
     lighting = project_environment(scene.environment(), 6)
-    expected = painted(scene, relight(packed_of(folder), lighting))
-    assert_same_picture(picture(scene), expected, atol=1e-4 * expected.max())
+    expected = painted(mi, scene, relight(packed_of(folder), lighting))
+    assert_same_picture(picture(mi, scene), expected, atol=1e-4 * expected.max())
 
 
 @pytest.mark.slow
@@ -195,8 +195,8 @@ def test_one_hot_texels_light_the_same_side_as_direct(mi, tmp_path):
         ours = mi.load_dict({"type": "slepian_prt", "transfer": str(tmp_path / "ball.prt"), "hide_emitters": True})
         theirs = mi.load_dict({"type": "direct", "hide_emitters": True, "bsdf_samples": 0, "emitter_samples": 4})
         a, b = (
-            picture(scene, integrator=ours, spp=64)[..., 0],
-            picture(scene, integrator=theirs, spp=64)[..., 0],
+            picture(mi, scene, integrator=ours, spp=64)[..., 0],
+            picture(mi, scene, integrator=theirs, spp=64)[..., 0],
         )
         # Seen by the camera or not, light falls on the same pixels: within noise and ringing of 8 degrees, against what
         # the light sends to a surface that faces it.
@@ -212,8 +212,8 @@ def test_what_is_not_in_the_file_is_drawn_as_direct_would(mi, folder):
                   .scale(4.0)},
     }  # fmt: skip
     scene = loaded(mi, folder, **others)
-    ours = runs(scene)
-    theirs = runs(scene, integrator=mi.load_dict({"type": "direct"}))
+    ours = runs(mi, scene)
+    theirs = runs(mi, scene, integrator=mi.load_dict({"type": "direct"}))
 
     class OnMesh(mi.SamplingIntegrator):
         def sample(self, scene, sampler, ray, medium=None, active=True):
@@ -221,7 +221,7 @@ def test_what_is_not_in_the_file_is_drawn_as_direct_would(mi, folder):
             return dr.select(si.shape == mi.ShapePtr(scene.shapes()[names.index("bumpy")]), mi.Spectrum(1), 0), True, []
 
     names = [s.id() for s in scene.shapes()]
-    covered = picture(scene, integrator=OnMesh(mi.Properties()))[..., 0]
+    covered = picture(mi, scene, integrator=OnMesh(mi.Properties()))[..., 0]
     assert 0.2 < np.mean(covered > 0) < 0.8
     away = (covered == 0)[:, :, None]
     assert_agree(in_blocks(away * ours, 4), in_blocks(away * theirs, 4))
@@ -250,7 +250,7 @@ def test_the_back_of_a_surface_is_drawn_as_direct_would(sides, mi, tmp_path):
     })  # fmt: skip
     ours = mi.load_dict({"type": "slepian_prt", "transfer": str(tmp_path / "bowl.prt"), "hide_emitters": True})
     theirs = mi.load_dict({"type": "direct", "hide_emitters": True})
-    pictures = [in_blocks(runs(scene, integrator=integrator), 4) for integrator in (ours, theirs)]
+    pictures = [in_blocks(runs(mi, scene, integrator=integrator), 4) for integrator in (ours, theirs)]
     assert (pictures[1].max() > 0.2) == (sides == 2)
     assert_agree(*pictures)
 
@@ -258,8 +258,8 @@ def test_the_back_of_a_surface_is_drawn_as_direct_would(sides, mi, tmp_path):
 def test_materials_of_the_scene_on_request(mi, folder):
     scene = loaded(mi, folder, integrator={"hide_emitters": True, "albedo": "scene"})
     bare = relight(packed_of(folder), project_environment(sky(), 6)) / packed_of(folder).mesh.albedo
-    expected = painted(scene, bare * [0.8, 0.5, 0.2])
-    assert_same_picture(picture(scene), expected, atol=1e-4 * expected.max())
+    expected = painted(mi, scene, bare * [0.8, 0.5, 0.2])
+    assert_same_picture(picture(mi, scene), expected, atol=1e-4 * expected.max())
 
 
 # --- Updates ---------------------------------------------------------------------------------------------------------
@@ -268,8 +268,8 @@ def test_materials_of_the_scene_on_request(mi, folder):
 @pytest.mark.slow
 def test_changes_of_the_emitter_need_no_reload(mi, folder):
     scene = loaded(mi, folder)
-    first = picture(scene)
-    assert_rounded(picture(scene), first, terms=SPP)
+    first = picture(mi, scene)
+    assert_rounded(picture(mi, scene), first, terms=SPP)
     parameters = mi.traverse(scene)
 
     halo = np.concatenate([sky(9)[:, -1:], sky(9), sky(9)[:, :1]], axis=1)
@@ -281,14 +281,14 @@ def test_changes_of_the_emitter_need_no_reload(mi, folder):
     ]:
         parameters[key] = value
         parameters.update()
-        again = picture(scene)
+        again = picture(mi, scene)
         assert np.abs(again - first).max() > 0.05
         wanted = picture(mi, loaded(mi, folder, envmap(mi, **fresh)))
         assert_same_picture(again, wanted, atol=1e-5 * wanted.max())
         first = again
     parameters["integrator.albedo"] = mi.TensorXf(np.zeros((len(packed_of(folder).mesh.positions), 3), np.float32))
     parameters.update()
-    assert np.abs(picture(scene) - first).max() > 0.05
+    assert np.abs(picture(mi, scene) - first).max() > 0.05
     parameters["integrator.albedo"] = mi.TensorXf(np.zeros((4, 3), np.float32))
     with pytest.raises(Exception, match=r"albedo of bumpy.prt must have shape \(642, 3\)"):
         parameters.update()
@@ -320,8 +320,8 @@ def test_turning_the_light_is_turning_the_scene_back(angle, mi, folder, rng):
         bumpy=shape(mi, folder, moved),
         sensor=camera(mi) | {"to_world": mi.ScalarTransform4f().look_at([3, 1, 10], [3, -1, 2], [0, 1, 0])},
     )
-    expected = painted(scene, relight(packed_of(folder), lighting))
-    assert_same_picture(picture(scene), expected, atol=1e-4 * expected.max())
+    expected = painted(mi, scene, relight(packed_of(folder), lighting))
+    assert_same_picture(picture(mi, scene), expected, atol=1e-4 * expected.max())
 
 
 # --- Gradients -------------------------------------------------------------------------------------------------------
@@ -382,7 +382,7 @@ def test_gradient_of_a_material_of_the_scene(mi, folder):
     parameters.update()
     image = mi.render(scene, parameters, spp=16, seed=1, seed_grad=2)
     dr.backward(dr.sum(image, axis=None))
-    total = picture(scene, seed=2).sum(axis=(0, 1))
+    total = picture(mi, scene, seed=2).sum(axis=(0, 1))
     np.testing.assert_allclose(np.array(dr.grad(leaf)).ravel(), total / [0.8, 0.5, 0.2], rtol=1e-3)
 
 
@@ -421,10 +421,10 @@ def test_switching_variants_back_and_forth(mi, folder):
 
 def test_a_variant_switched_between_load_and_render(mi, folder):
     scene = loaded(mi, folder)
-    before = picture(scene)
+    before = picture(mi, scene)
     mi.set_variant("llvm_ad_mono")
     mi.set_variant("llvm_ad_rgb")
-    assert_rounded(picture(scene), before, terms=SPP)
+    assert_rounded(picture(mi, scene), before, terms=SPP)
 
 
 def test_registering_before_a_variant_is_set():
@@ -476,10 +476,10 @@ def test_shapes_with_a_formula_and_merged_ones(optimize, mi, tmp_path):
     ids = [shape.id() for shape in scene.shapes()]
     assert ("floor" in ids) != optimize
     ours = picture(
-        scene, integrator=mi.load_dict({"type": "slepian_prt", "transfer": str(tmp_path / "scene.prt")}), spp=1024
+        mi, scene, integrator=mi.load_dict({"type": "slepian_prt", "transfer": str(tmp_path / "scene.prt")}), spp=1024
     )
     path = mi.load_dict({"type": "path", "max_depth": packed.bounces + 2})
-    theirs = picture(scene, integrator=path, spp=1024)
+    theirs = picture(mi, scene, integrator=path, spp=1024)
     # Constant light needs no more than degree 0, so that what differs is noise, coding, and interpolation.
     assert_near(ours, theirs, 0.02)
     assert np.quantile(np.abs(ours - theirs), 0.99) < 0.05
@@ -501,9 +501,9 @@ def test_two_files_in_one_scene(mi, folder, tmp_path):
         ball={"type": "ply", "filename": str(tmp_path / "ball.ply")},
         sensor=camera(mi) | {"fov": 80},
     )  # fmt: skip
-    expected = painted(scene, relight(packed_of(folder), project_environment(sky(), 6)))
-    second = painted(scene, relight(packed, project_environment(sky(), 4)), "ball")
-    ours = picture(scene)
+    expected = painted(mi, scene, relight(packed_of(folder), project_environment(sky(), 6)))
+    second = painted(mi, scene, relight(packed, project_environment(sky(), 4)), "ball")
+    ours = picture(mi, scene)
     assert {"integrator.albedo", "integrator.albedo_ball"} <= set(mi.traverse(scene).keys())
     # Where one is painted the other is black.
     assert expected.max() > 0.3
@@ -545,7 +545,7 @@ def test_a_mesh_of_another_name_is_found_by_its_vertices(mi, folder):
         "type": "scene", "integrator": {"type": "slepian_prt", "transfer": str(folder / "bumpy.prt")},
         "whatever": shape(mi, folder), "emitter": envmap(mi), "sensor": camera(mi),
     })  # fmt: skip
-    assert_rounded(picture(scene), picture(mi, loaded(mi, folder)), terms=SPP + 49)
+    assert_rounded(picture(mi, scene), picture(mi, loaded(mi, folder)), terms=SPP + 49)
 
 
 def test_parameters_that_are_wrong(mi, folder, tmp_path):
@@ -579,7 +579,7 @@ def test_a_black_map_and_no_light(mi, folder):
     })  # fmt: skip
     level = mi.log_level()
     mi.set_log_level(mi.LogLevel.Error)
-    assert_exact(picture(scene), 0.0, because="nothing adds light")
+    assert_exact(picture(mi, scene), 0.0, because="nothing adds light")
     mi.set_log_level(level)
 
 
@@ -589,7 +589,7 @@ def test_inside_an_aov_integrator(mi, folder):
     nested = mi.load_dict(
         {"type": "aov", "aovs": "d:depth", "own": {"type": "slepian_prt", "transfer": str(folder / "bumpy.prt")}}
     )
-    np.testing.assert_allclose(picture(scene, integrator=nested)[..., :3], picture(scene), atol=1e-5)
+    np.testing.assert_allclose(picture(mi, scene, integrator=nested)[..., :3], picture(mi, scene), atol=1e-5)
 
 
 # --- Remarks and refusals --------------------------------------------------------------------------------------------
@@ -649,8 +649,8 @@ def test_ringing_is_told_and_damped(mi, folder, log):
     options = {"hide_emitters": True, "window": "hann", "window_width": 5.0}
     scene = loaded(mi, folder, envmap(mi, texels), options)
     lighting = windowed(project_environment(texels, 6), "hann", 5.0)
-    expected = painted(scene, relight(packed_of(folder), lighting))
-    assert_same_picture(picture(scene), expected, atol=1e-4 * expected.max())
+    expected = painted(mi, scene, relight(packed_of(folder), lighting))
+    assert_same_picture(picture(mi, scene), expected, atol=1e-4 * expected.max())
     for wrong, wanted in [
         ({"window": "box", "window_width": 3.0}, "window must be one of"),
         ({"window": "hann"}, "width of the window must be larger"),
@@ -695,7 +695,7 @@ def test_a_lamp_before_the_model(hide, mi, folder, log):
     emitter = {"type": "area", "radiance": {"type": "rgb", "value": 7.0}}
     lamp = {"type": "rectangle", "to_world": turn, "emitter": emitter}
     scene = loaded(mi, folder, integrator={"hide_emitters": hide}, lamp=lamp)
-    ours = picture(scene)
+    ours = picture(mi, scene)
     middle = ours[14:18, 14:18]
     if hide:
         radiance = relight(packed_of(folder), project_environment(sky(), 6))
@@ -704,5 +704,5 @@ def test_a_lamp_before_the_model(hide, mi, folder, log):
     else:
         np.testing.assert_allclose(middle, 7.0, rtol=1e-5)
     assert [text for text in log if "does not reach shapes of bumpy.prt" in text]
-    theirs = picture(scene, integrator=mi.load_dict({"type": "direct", "hide_emitters": hide}), spp=64)
+    theirs = picture(mi, scene, integrator=mi.load_dict({"type": "direct", "hide_emitters": hide}), spp=64)
     assert ours[0, 0].any() == theirs[0, 0].any()
