@@ -19,6 +19,7 @@ import pytest
 import trimesh
 
 import slepian_prt as sp
+from slepian_prt.compression.bases import BASES
 from slepian_prt.compression.decoder import decode
 from tests.format_reader import cumulative_tables, read, transfer_vectors
 from tests.numerics import assert_exact, assert_rounded
@@ -169,6 +170,12 @@ def test_the_tree_in_contributing_is_complete():
         row = rows["slepian_prt/" if folder == "." else f"{folder}/"]
         if not path.stem.startswith("__"):
             assert f"`{path.stem}`" in row, f"{path.relative_to(ROOT)} is not in the table of docs/contributing.md"
+
+
+def test_every_basis_is_explained():
+    table = (DOCS / "guide" / "precompute.md").read_text()
+    for name in BASES:
+        assert f"`{name}`" in table, f"basis {name} is not in docs/guide/precompute.md"
 
 
 def test_examples_are_shipped():

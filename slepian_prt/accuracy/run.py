@@ -19,6 +19,7 @@ from slepian_prt.accuracy.trials import Choice
 from slepian_prt.accuracy.tuning import TUNING, SearchTuning
 from slepian_prt.accuracy.verify import Verification, squared_error, verify
 from slepian_prt.accuracy.vertices import draw_others, draw_vertices, leave_out_interior, measure_references
+from slepian_prt.compression.bases import BASES
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.settings import CompressionSettings
@@ -137,10 +138,11 @@ class _Hooks:
 
 def _check(settings: CompressionSettings) -> None:
     """Raise UserError if a goal leaves no room for these."""
-    if settings.needs_all_vectors or settings.basis in ("slepian", "direct", "none"):
+    able = [name for name, basis in BASES.items() if basis.build is not None and basis.complete]
+    if settings.basis not in able:
         raise UserError(
             f"`max_error` and `max_seconds` choose a tolerance, which basis {settings.basis} cannot promise; use "
-            "adapted, transport, incident or sh"
+            f"one of {', '.join(able)}"
         )
     if settings.by_number or settings.tolerance is not None:
         raise UserError(

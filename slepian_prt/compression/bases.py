@@ -101,7 +101,8 @@ class Problem:
         if kernel is None:
             return self._once(("plain", half_angle), lambda: cap_basis(self.bandlimit, half_angle))
         weighted = kernel * self.scale
-        return self._once(("zonal", half_angle), lambda: cap_basis(self.bandlimit, half_angle, kernel=weighted))
+        key = ("zonal", half_angle, weighted.tobytes())
+        return self._once(key, lambda: cap_basis(self.bandlimit, half_angle, kernel=weighted))
 
     def adapted(self, occlusion_class: int, half_angle: float) -> CapBasis:
         """Functions of a cap about z from the pilot's second moment, under the light prior."""
@@ -239,11 +240,14 @@ class BasisEntry:
     style : CurveStyle
     build : callable or None
         Makes the candidate of one cap; None for bases that are made from the vectors of the whole mesh.
+    complete : bool
+        Whether all its functions together hold any vector, so that any tolerance can be met.
     """
 
     description: str
     style: CurveStyle
     build: Callable[[Problem, Frame], Candidate] | None
+    complete: bool = True
 
 
 # Colours of Okabe & Ito, safe for colour-blind readers.
@@ -262,6 +266,7 @@ BASES = {
         "the paper's Slepian functions of the cap of normals, for exit radiance",
         CurveStyle("#0072B2", "D", "--"),
         _slepian,
+        complete=False,
     ),
     "incident": BasisEntry(
         "Slepian functions of the cap that holds all incident light (the cap of normals widened by 90°)",
@@ -273,6 +278,7 @@ BASES = {
         "transfer projected on the Slepian functions of the cap of normals itself: what not to do",
         CurveStyle("#CC79A7", "P", ":"),
         _direct,
+        complete=False,
     ),
     "pca": BasisEntry(
         "mean and principal components of each cap; has to see all vectors and to store its bases",
@@ -302,6 +308,20 @@ def candidates(name: str, problem: Problem) -> list[Candidate]:
 
 
 def _radial_candidate(problem: Problem, frame: Frame, name: str, radial: NDArray, orders: NDArray) -> Candidate:
+    """A candidate of orthonormal functions of one order each, about the pole, the most important first.
+
+    Parameters
+    ----------
+    problem : Problem
+    frame : Frame
+    name : str
+        Of the basis: caps of the same angles share its functions by that name.
+    radial : (K_max, L+1)
+        Coefficients over the degree.
+    orders : (K_max,)
+        Signed orders m.
+    """
+
     def cut(k: int) -> LinearBasis:
         return LinearBasis(
             frame.center,

@@ -30,6 +30,8 @@ class LinearBasis:
     mean : (channels, (L+1)²) float32, float16 or None
     weights : (L+1,) or None
         Of a light prior, for each degree; None stands for ones.
+    known_functions : (K, (L+1)²) or None
+        What `functions` would make anew.
     count, bandlimit : int
         K and L.
     """
@@ -42,10 +44,13 @@ class LinearBasis:
     dense: NDArray | None = None
     mean: NDArray | None = None
     weights: NDArray[np.float64] | None = None
+    known_functions: NDArray[np.float64] | None = None
 
     @cached_property
     def functions(self) -> NDArray[np.float64]:
         """(K, (L+1)²) in the world frame."""
+        if self.known_functions is not None:
+            return self.known_functions
         if self.radial is not None and self.orders is not None:
             radial = self.radial.astype(np.float64)
             if self.radial.dtype == np.float16:
@@ -73,22 +78,20 @@ class LinearBasis:
 
     def first(self, count: int) -> LinearBasis:
         """The basis of the first ``count`` functions."""
-        found = replace(
+        return replace(
             self,
             count=count,
             orders=None if self.orders is None else self.orders[:count],
             radial=None if self.radial is None else self.radial[:count],
             dense=None if self.dense is None else self.dense[:count],
+            known_functions=self.functions[:count],  # Gram-Schmidt went in order
         )
-        if "functions" in self.__dict__:  # Gram-Schmidt went in order
-            found.__dict__["functions"] = self.functions[:count]
-        return found
 
     def as_float16(self) -> LinearBasis:
         """The basis with all that is stored of it in float16."""
         parts = (None if part is None else part.astype(np.float16) for part in (self.radial, self.dense, self.mean))
         radial, dense, mean = parts
-        return replace(self, radial=radial, dense=dense, mean=mean)
+        return replace(self, radial=radial, dense=dense, mean=mean, known_functions=None)
 
     def project(self, vectors: NDArray) -> NDArray[np.float32]:
         """(n, K channels) coefficients of transfer vectors (n, channels, (L+1)²); those of one function together."""
