@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from pathlib import Path
 
@@ -11,19 +12,23 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from paper import pit
+from paper.empirical import empirical_spectrum
 
 import slepian_prt as sp
-from slepian_prt.evaluation import pit, spectra
+from slepian_prt.evaluation import spectra
 from slepian_prt.evaluation.compare import compare
-from slepian_prt.evaluation.metrics import relative_rms
+from slepian_prt.evaluation.metrics import flip_errors, relative_rms
 from slepian_prt.evaluation.reference import render_reference
-from slepian_prt.evaluation.report import ladder_plot
-from slepian_prt.evaluation.sweep import Axes, sweep
-from slepian_prt.evaluation.sweep_report import fronts
+from slepian_prt.evaluation.report_plots import plot_ladder
+from slepian_prt.evaluation.sweep.axes import Axes
+from slepian_prt.evaluation.sweep.report import front_context
+from slepian_prt.evaluation.sweep.run import sweep
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.relighting.pictures import exposure, to_srgb, trace_camera
+from slepian_prt.relighting.camera import trace_camera
+from slepian_prt.relighting.pictures import exposure, to_srgb
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.settings import TransportSettings
 
 ROOT = Path(__file__).parent.parent
 FIGURES = ROOT / "docs" / "figures"
@@ -39,29 +44,71 @@ def save(figure: plt.Figure, name: str) -> None:
     print(f"docs/figures/{name}.png")
 
 
+# Bytes per vertex of the teaser: spherical harmonics of degrees 0 to 3 in float16.
+TEASER_BYTES = 32.0
+
+
 def teaser() -> None:
-    """The shipped scene: path-traced, full SH, and 16 functions per vertex of three bases."""
-    path = ROOT / "scenes" / "knot.ply"
-    sky = sp.read_environment(ROOT / "scenes" / "sky.exr")
-    lighting = sp.project_environment(sky, 10)
-    transfer = sp.precompute(path, bandlimit=10, samples=1024)
-    full = sp.relight(transfer, lighting)
+    """The shipped scene in the same bytes: path-traced, coded up to degree 20, and SH up to degree 3."""
+    path, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
+    transfer = sp.precompute(path, bandlimit=20, samples=1024)
+    lighting = sp.project_environment(sky, 20)
+    packed = _compressed_to(transfer, TEASER_BYTES)
+    low = sp.compress(transfer, "sh", terms=16, coding="float16")
     with open_scene(path) as scene:
-        camera = trace_camera(scene, 420)
-        reference = render_reference(scene, sky, width=420, noise=0.01)
-    pictures = [("path-traced reference", reference.picture), ("full SH, 121 functions", camera.picture(full))]
-    for basis in ("adapted", "slepian", "sh"):
-        radiance = sp.relight(sp.compress(transfer, basis, terms=16), lighting)
-        title = f"{basis}, 16 functions\n{relative_rms(radiance, full):.0%} off full SH"
-        pictures.append((title, camera.picture(radiance)))
-    scale = exposure(reference.picture)
-    figure, axes = plt.subplots(1, len(pictures), figsize=(15, 3.2))
+        camera = trace_camera(scene, 560)
+        reference = render_reference(scene, sky, width=560, noise=0.01)
+    exact = camera.masked(reference.picture)
+    pictures = [("path-traced", exact)]
+    for title, made in (("slepian_prt, degrees up to 20", packed), ("spherical harmonics, degrees up to 3", low)):
+        picture = camera.picture(sp.relight(made, lighting))
+        error = relative_rms(picture.radiance, exact.radiance)
+        pictures.append((f"{title}\n{made.bytes_per_vertex:.0f} bytes per vertex, {error:.0%} off", picture))
+    scale = exposure(exact)
+    figure, axes = plt.subplots(1, len(pictures), figsize=(14, 5))
     for axis, (title, picture) in zip(axes, pictures, strict=True):
         axis.imshow(to_srgb(picture, scale))
-        axis.set_title(title, fontsize=11)
+        axis.set_title(title, fontsize=12)
         axis.axis("off")
     figure.subplots_adjust(wspace=0.02)
     save(figure, "teaser")
+
+
+def _compressed_to(transfer: sp.Transfer, bytes_per_vertex: float) -> sp.CompressedTransfer:
+    """The finest tolerance that takes no more than so many bytes, to 3 %."""
+    low, high = 0.01, 0.5
+    while True:
+        middle = math.sqrt(low * high)
+        packed = sp.compress(transfer, tolerance=middle)
+        if 0.97 * bytes_per_vertex <= packed.bytes_per_vertex <= bytes_per_vertex:
+            return packed
+        low, high = (middle, high) if packed.bytes_per_vertex > bytes_per_vertex else (low, middle)
+
+
+def clean() -> None:
+    """From which tolerance on a coded picture looks like one of full spherical harmonics: FLIP and bytes."""
+    tolerances = (0.2, 0.1, 0.05, 0.035, 0.02, 0.01)
+    scenes = [("knot, sky", sp.example("knot"), sp.example("sky"))]
+    folder = os.environ.get("SLEPIAN_PRT_DATA")
+    if folder:
+        data = Path(folder)
+        scenes.append(("skull, studio", data / "meshes" / "skull.ply", data / "environments" / "studio.exr"))
+    print("| scene | tolerance | FLIP, mean and 95th percentile | error of radiance | bytes per vertex |")
+    print("| --- | --- | --- | --- | --- |")
+    for name, path, environment in scenes:
+        transfer, lighting = sp.precompute(path), sp.project_environment(environment, 10, clamp_negative=True)
+        full = sp.relight(transfer, lighting)
+        with open_scene(path) as scene:
+            camera = trace_camera(scene, 560)
+        exact = camera.picture(full)
+        for tolerance in tolerances:
+            packed = sp.compress(transfer, tolerance=tolerance)
+            radiance = sp.relight(packed, lighting)
+            errors = flip_errors(camera.picture(radiance), exact, exposure(exact))
+            print(
+                f"| {name} | {tolerance:g} | {errors.mean():.3f}, {np.quantile(errors, 0.95):.2f} "
+                f"| {relative_rms(radiance, full):.1%} | {packed.bytes_per_vertex:.2g} |"
+            )
 
 
 def effects() -> None:
@@ -93,16 +140,18 @@ def accuracy() -> None:
     """The shipped scene: error against seconds and against bytes, with the settings that are not beaten."""
     scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
     axes = Axes((64, 256, 1024), (5, 10, 15, 20), tolerances=(0.3, 0.2, 0.1, 0.05, 0.02))
-    found = sweep(scene, [sky], axes, TransportSettings())
-    for (_, cost), picture in fronts(found)["figures"].items():
+    measured = sweep(scene, [sky], axes, TransportSettings())
+    for (_, cost), picture in front_context(measured)["figures"].items():
         write(f"accuracy_{cost}", picture)
 
 
 def ladder() -> None:
     """The shipped scene: what each step from the path-traced picture to coded coefficients adds."""
     scene, sky = ROOT / "scenes" / "knot.ply", sp.read_environment(ROOT / "scenes" / "sky.exr")
-    found = compare(scene, [sky], transport=TransportSettings(10, 1024), methods=("adapted",), terms=(16,), noise=0.005)
-    write("ladder", ladder_plot(found.ladder))
+    comparison = compare(
+        scene, [sky], transport=TransportSettings(10, 1024), methods=("adapted",), terms=(16,), noise=0.005
+    )
+    write("ladder", plot_ladder(comparison.ladder))
 
 
 def write(name: str, picture: bytes) -> None:
@@ -147,7 +196,7 @@ def paper_figure_3() -> None:
             half_angle = math.radians(angle * (2 if reflection else 1))
             plain = sp.cap_basis(bandlimit, half_angle).eigenvalues
             weighted = sp.cap_basis(bandlimit, half_angle, kernel=zonal).eigenvalues
-            measured = spectra.empirical_spectrum(zonal, half_angle, reflection=reflection)
+            measured = empirical_spectrum(zonal, half_angle, reflection=reflection)
             weighted = weighted / weighted[0]
             kept = (weighted > 1e-8)[: measured.size]
             worst = max(worst, float(np.abs(np.log10(measured[kept] / weighted[: measured.size][kept])).max()))
@@ -298,6 +347,7 @@ def shannon() -> None:
 
 FIGURE_MAKERS = {
     "teaser": teaser,
+    "clean": clean,
     "effects": effects,
     "accuracy": accuracy,
     "ladder": ladder,

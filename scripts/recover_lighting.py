@@ -25,7 +25,7 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import precompute_compressed
 from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
 from slepian_prt.sphere.harmonics import degrees
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.settings import TransportSettings
 
 ROOT = Path(__file__).parent.parent
 DEGREE, BANDLIMIT = 5, 10

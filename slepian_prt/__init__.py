@@ -1,90 +1,57 @@
 """Compressed precomputed radiance transfer on spherical Slepian functions, built on Mitsuba 3.
 
     import slepian_prt as sp
-    transfer = sp.precompute("skull.ply", bandlimit=10, samples=1024)
-    packed = sp.compress(transfer, basis="adapted", tolerance=0.02)
-    lighting = sp.project_environment("studio.exr", bandlimit=10)
-    radiance = sp.relight(packed, lighting)
+    transfer = sp.precompute(sp.example("knot"), samples=64)             # trace: (V, channels, M) transfer vectors
+    packed = sp.compress(transfer, tolerance=0.05)                       # what a .prt file holds
+    lighting = sp.project_environment(sp.example("sky"), bandlimit=10)   # (3, M) spherical harmonics of a map
+    radiance = sp.relight(packed, lighting)                              # (V, 3)
 
-Names are loaded when they are first used, so the sphere mathematics works where Mitsuba cannot run.
+Transfer and relighting
+    precompute                      Trace what light reaches each vertex of a mesh or scene: its transfer vectors.
+    Transfer                        Transfer vectors and the mesh that they belong to.
+    compress                        Project transfer vectors on few functions per cap and code the coefficients.
+    CompressedTransfer              What a .prt file holds; save, reconstruct, relight, predicted errors.
+    load                            Read a .prt file.
+    relight                         Radiance at the vertices under given lighting.
+    register                        Make the integrator `slepian_prt` known to Mitsuba.
+Meshes and light
+    read_mesh, make_mesh            A mesh from a file, or from arrays.
+    Mesh                            Triangles with a normal and an albedo at each vertex.
+    read_environment                An environment map from a file, an array or a Mitsuba emitter.
+    project_environment             A map's spherical harmonic coefficients, in one step.
+    Environment                     An environment map; turn it, project it.
+    falling_prior                   Light prior 1/(l+1): skies without a sun.
+    measured_prior                  Light prior from the mean spectrum of some maps.
+    example                         Path of a scene or map that is shipped with the package.
+Functions on the sphere
+    real_sh                         Evaluate all real spherical harmonics up to a bandlimit.
+    rotate_sh                       Rotate spherical harmonic expansions.
+    cap_basis, CapBasis             Slepian functions of a spherical cap, or of transport over it.
+    region_basis, RegionBasis       Slepian functions of a region of any shape.
+    cap_region                      The region inside a cap.
+    polygon_region                  The region inside a spherical polygon.
+    mask_region                     The region where a map is not zero.
+    minimal_enclosing_cap           The smallest cap that holds some directions.
+    cosine_lobe                     Zonal coefficients of the clamped cosine and its powers.
+    zonal_coefficients              Zonal coefficients of any lobe.
+    measured_moment, SecondMoment   Second moment of transfer vectors in their own frames.
+Counting functions
+    shannon_number                  N, the sum of all concentrations.
+    generalized_shannon_number      N_g of Lessig & Fiume (2010).
+    refined_shannon_number          N_ref, two-term asymptotics.
+    concentration_count             How many concentrations are above a threshold, exactly.
+Errors
+    UserError                       A mistake in the input: one line that says what is wrong and what to do.
+
+Names are loaded when they are first used, so the mathematics of the sphere works where Mitsuba cannot run. The
+command line is `slepian-prt`; its manual and the conventions (axes, units, signs) are in the folder docs.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import importlib.metadata as _metadata
 
-__version__ = "0.1.0"
+import lazy_loader as _lazy
 
-if TYPE_CHECKING:
-    from slepian_prt.compression.compressed import CompressedTransfer, load
-    from slepian_prt.compression.stream import compress
-    from slepian_prt.errors import UserError
-    from slepian_prt.lighting.environment import Environment, read_environment
-    from slepian_prt.lighting.projection import project_environment
-    from slepian_prt.lighting.spectrum import falling_prior, measured_prior
-    from slepian_prt.relighting.mitsuba.integrator import register
-    from slepian_prt.relighting.relight import relight
-    from slepian_prt.scene.mesh import Mesh, make_mesh, read_mesh
-    from slepian_prt.slepian.concentration import CapBasis, RegionBasis, cap_basis, region_basis
-    from slepian_prt.slepian.kernels import SecondMoment, cosine_lobe, measured_moment, zonal_coefficients
-    from slepian_prt.slepian.shannon import (
-        concentration_count,
-        generalized_shannon_number,
-        refined_shannon_number,
-        shannon_number,
-    )
-    from slepian_prt.sphere.caps import minimal_enclosing_cap
-    from slepian_prt.sphere.harmonics import real_sh
-    from slepian_prt.sphere.regions import cap_region, mask_region, polygon_region
-    from slepian_prt.sphere.rotation import rotate_sh
-    from slepian_prt.transport.transfer import Transfer, precompute
+__version__ = _metadata.version(__name__)
 
-_HOME = {
-    "CapBasis": "slepian.concentration",
-    "CompressedTransfer": "compression.compressed",
-    "Environment": "lighting.environment",
-    "Mesh": "scene.mesh",
-    "RegionBasis": "slepian.concentration",
-    "SecondMoment": "slepian.kernels",
-    "Transfer": "transport.transfer",
-    "UserError": "errors",
-    "cap_basis": "slepian.concentration",
-    "cap_region": "sphere.regions",
-    "compress": "compression.stream",
-    "concentration_count": "slepian.shannon",
-    "cosine_lobe": "slepian.kernels",
-    "generalized_shannon_number": "slepian.shannon",
-    "falling_prior": "lighting.spectrum",
-    "load": "compression.compressed",
-    "make_mesh": "scene.mesh",
-    "mask_region": "sphere.regions",
-    "measured_prior": "lighting.spectrum",
-    "measured_moment": "slepian.kernels",
-    "minimal_enclosing_cap": "sphere.caps",
-    "polygon_region": "sphere.regions",
-    "precompute": "transport.transfer",
-    "project_environment": "lighting.projection",
-    "read_environment": "lighting.environment",
-    "read_mesh": "scene.mesh",
-    "real_sh": "sphere.harmonics",
-    "refined_shannon_number": "slepian.shannon",
-    "region_basis": "slepian.concentration",
-    "register": "relighting.mitsuba.integrator",
-    "relight": "relighting.relight",
-    "rotate_sh": "sphere.rotation",
-    "shannon_number": "slepian.shannon",
-    "zonal_coefficients": "slepian.kernels",
-}
-
-__all__ = [*sorted(_HOME)]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOME])
+# The names and their homes stand in __init__.pyi, which type checkers read too.
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

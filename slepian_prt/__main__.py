@@ -4,12 +4,13 @@ import sys
 
 
 def main() -> None:
+    """Run the command and exit with its status."""
     try:
         from slepian_prt.cli import main as run
     except KeyboardInterrupt:
         sys.stderr.write("slepian-prt: interrupted; nothing was written\n")
         sys.exit(130)
-    run()
+    sys.exit(run())
 
 
 if __name__ == "__main__":

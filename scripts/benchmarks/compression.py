@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import slepian_prt as sp
-from slepian_prt.compression.baselines import haar_transfer
 from slepian_prt.compression.clustering import cluster_axes
+from slepian_prt.evaluation.baselines import haar_transfer
 from slepian_prt.lighting.emitters import emitted_environment
 from slepian_prt.renderer.variants import mitsuba
 

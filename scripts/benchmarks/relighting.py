@@ -13,7 +13,7 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import precompute_compressed
 from slepian_prt.lighting.environment import read_environment
 from slepian_prt.lighting.texel_projection import clenshaw_curtis
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.settings import TransportSettings
 
 _RUNS = 15
 

@@ -16,10 +16,12 @@ from benchmarks.common import DRAGONS, PEAK_MEMORY, data_folder, in_child, line
 import slepian_prt as sp
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.receivers import morton
+from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.directions import direction_set
-from slepian_prt.transport.effects import Survey
 from slepian_prt.transport.interreflection import gather_operator
-from slepian_prt.transport.visibility import VisibilityTracer, shadowed_transfer
+from slepian_prt.transport.occlusion import OcclusionTables
+from slepian_prt.transport.survey import Survey
+from slepian_prt.transport.visibility import VisibilityTracer
 
 SAMPLES = 1024
 RUNS = 5
@@ -68,27 +70,27 @@ def _throughput(path: Path, bandlimit: int) -> None:
         plan = Survey.of(scene).plan(bandlimit, SAMPLES)
         positions = scene.traced_positions
         order = plan.shadowed[np.argsort(morton(positions[plan.shadowed]), kind="stable")]
-        net = direction_set(plan.nodes)
-        block = max(1, (1 << 21) // net.size)
+        directions = direction_set(plan.nodes)
+        block = max(1, (1 << 21) // directions.size)
         begin = time.perf_counter()
-        shadowed_transfer(scene, bandlimit, plan.nodes, plan.shadowed[:block], 0)
+        DirectTransfer(scene, bandlimit, plan.nodes, plan.shadowed[:block], 0).estimate()
         first = time.perf_counter() - begin
         for _ in range(RUNS):
             begin = time.perf_counter()
-            rays = shadowed_transfer(scene, bandlimit, plan.nodes, plan.shadowed, 0)[2]
+            rays = DirectTransfer(scene, bandlimit, plan.nodes, plan.shadowed, 0).estimate().rays
             ours.append(time.perf_counter() - begin)
-            tracer = VisibilityTracer(scene, bandlimit, net, 0)
+            tracer, tables = VisibilityTracer(scene, directions, 0), OcclusionTables(directions, bandlimit)
             tracer.geometry = timed = _Timed(scene.geometry)
             for start in range(0, order.size, block):
-                tracer.look(order[start : start + block])
+                tracer.trace(order[start : start + block])
             raw.append(timed.seconds)
             tracer.geometry = scene.geometry
             traced = projected = 0.0
             for start in range(0, order.size, block):
                 begin = time.perf_counter()
-                seen = tracer.look(order[start : start + block])
+                samples = tracer.trace(order[start : start + block])
                 middle = time.perf_counter()
-                tracer.blocked(seen)
+                tables.blocked(samples)
                 traced, projected = traced + middle - begin, projected + time.perf_counter() - middle
             stages["trace"].append(traced)
             stages["project"].append(projected)
@@ -147,9 +149,11 @@ def dragons() -> None:
             path = DRAGONS / f"{name}.ply"
             code = (
                 "import tempfile, pathlib, time; from slepian_prt.compression.stream import precompute_compressed;"
-                "from slepian_prt.compression.settings import Settings; from slepian_prt.transport.transfer import Job;"
+                "from slepian_prt.compression.settings import CompressionSettings;"
+                "from slepian_prt.transport.settings import TransportSettings;"
                 "begin = time.perf_counter();"
-                f"p = precompute_compressed({str(path)!r}, Settings(tolerance=0.05), Job({bandlimit}));"
+                f"transport = TransportSettings({bandlimit}); settings = CompressionSettings(tolerance=0.05);"
+                f"p = precompute_compressed({str(path)!r}, settings, transport);"
                 "p.save(pathlib.Path(tempfile.mkdtemp()) / 'out.prt'); total = time.perf_counter() - begin;"
                 "rate = p.rays_traced / p.seconds['transport'] / 1e6;"
                 "print(len(p.mesh.positions), 'vertices,',"

@@ -4,197 +4,170 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.accuracy.error_metric import ErrorMetric
-from slepian_prt.accuracy.transport_pilot import TransportTrial
+from slepian_prt.accuracy.trials import ToleranceTrial
+from slepian_prt.accuracy.tuning import TUNING, SearchTuning
 from slepian_prt.compression.checkpoint import MemoryStore
 from slepian_prt.compression.clustering import Clusters
-from slepian_prt.compression.encoder import Encoder, Trial, WarmStart
-from slepian_prt.compression.grouping import Grouping
-from slepian_prt.compression.pilot import pilot_vertices
-from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.lighting.spectrum import LightPrior
+from slepian_prt.compression.learning import LearnedBases
+from slepian_prt.compression.projection import Projection, choose_projection, widen
+from slepian_prt.compression.trial import CodingTrial, try_caps
+from slepian_prt.evaluation.vertex_error import ErrorMetric, MapMetric, SpectrumMetric
 from slepian_prt.scene.receivers import morton
-from slepian_prt.transport.transfer import PlannedScene
-
-# Caps that are coded on trial, and so many neighbouring vertices of each at most: caps differ more from each other than
-# within.
-_TRIED, _OF_EACH = 24, 250
-
-# Transport beside it reaches this degree, for the part of its error that is the bandlimit's.
-_BESIDE = 30
-
-# How long all caps take until the step is right, over once with a choice of axes; small parts of caps take longer.
-_PASSES = 0.8
-
-# A tolerance that is off by more than this factor is tried again; one that is less off is changed by a little less.
-_CLOSE = 1.35
-_USUAL = 1.35
-_SAFE = 0.98
-_TRIALS = 4
-_FINEST, _COARSEST = 1e-5, 0.9
-
-# Coding is not counted on to mend more than it spoils.
-_LEAST_ADDED = 0.1
-
-Prior = Callable[[int], LightPrior | None]
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.estimator import TransferBlock
 
 
 @dataclass(frozen=True)
-class Coded:
-    """What is foreseen of compression with one tolerance.
+class CapParts:
+    """Neighbouring vertices of some of the caps.
 
     Attributes
     ----------
-    work : Encoder
-        Ready for all blocks.
-    tolerance : float
-    squared : (lights,)
-        Squared relative errors of relit radiance.
-    bytes_per_vertex : float
-        Bases and cap indices counted.
-    seconds : float
-        For the whole mesh.
+    caps : list of int
+        Those that are tried.
+    members : list of (n,)
+        Of all caps, thinned where they are tried.
     """
 
-    work: Encoder
-    tolerance: float
-    squared: NDArray[np.float64]
-    bytes_per_vertex: float
-    seconds: float
+    caps: list[int]
+    members: list[NDArray[np.int64]]
+
+    @property
+    def vertices(self) -> NDArray[np.int64]:
+        """Of the caps that are tried, ascending."""
+        return np.sort(np.concatenate([self.members[c] for c in self.caps]))
 
 
+def draw_caps(clusters: Clusters, positions: NDArray, seed: int, tuning: SearchTuning = TUNING) -> CapParts:
+    """Caps at random, with no more vertices than are tried, which are near each other."""
+    caps = np.random.default_rng(seed).permutation(np.flatnonzero(clusters.sizes))[: tuning.tried_caps].tolist()
+    members = list(clusters.members)
+    for c in caps:
+        along = members[c][np.argsort(morton(positions[members[c]]), kind="stable")]
+        begin = max(0, (along.size - tuning.vertices_of_cap) // 2)
+        members[c] = np.sort(along[begin : begin + tuning.vertices_of_cap])
+    return CapParts(caps, members)
+
+
+@dataclass(frozen=True, eq=False)
 class CodingPilot:
-    """Compression of transfer that was looked at, on trial.
+    """What compression is tried on.
 
-    Parameters
+    Attributes
     ----------
-    planned : PlannedScene
-    look : TransportTrial
-    settings : CompressionSettings
-        All but tolerance and light prior.
-    grouping : Grouping
-    prior : callable
-        Gives the light prior for a bandlimit.
-    yardstick : ErrorMetric
+    learned : LearnedBases
+    parts : CapParts
+    vectors : (n, channels, (L+1)²)
+        Transfer at the vertices of the parts.
+    transport_error : (n, 1, (R+1)²) or None
+        The same less transport of other rays and of more degrees, whose noise is independent; None if there is none.
+    metric : ErrorMetric
+    tuning : SearchTuning
     """
 
-    def __init__(
-        self,
-        planned: PlannedScene,
-        look: TransportTrial,
-        settings: CompressionSettings,
-        grouping: Grouping,
-        prior: Prior,
-        yardstick: ErrorMetric,
-    ) -> None:
-        self._yardstick, self._count = yardstick, len(planned.scene.mesh.positions)
-        begin = time.perf_counter()
-        mesh = planned.scene.mesh if look.transfer is None else look.transfer.mesh
-        toward_view = look.transfer is not None and look.transfer.toward_view
-        settings = replace(settings, tolerance=0.05, light_prior=prior(look.bandlimit))
-        self._work = Encoder(settings, mesh, grouping, look.bandlimit, planned.settings.seed, toward_view=toward_view)
-        sizes = grouping.clusters.sizes
-        self._caps = np.random.default_rng(planned.settings.seed).permutation(np.flatnonzero(sizes))[:_TRIED].tolist()
-        self._parts = _neighbours(planned.scene.traced_positions, grouping.clusters, self._caps)
-        self._vertices = np.sort(np.concatenate([self._parts.members[c] for c in self._caps]))
-        of_bases = pilot_vertices(grouping.clusters, grouping.axes, planned.settings.seed)
-        self._apart: NDArray[np.float32] | None = None  # from other transport
-        if look.transfer is not None:
-            vectors = look.transfer.vectors
-            of_bases_vectors, self._vectors = vectors[of_bases], vectors[self._vertices]
-        else:
-            assert look.source is not None
-            found = look.source.of(np.concatenate([of_bases, self._vertices]))[0][:, None, :]
-            of_bases_vectors, self._vectors = found[: of_bases.size], found[of_bases.size :]
-            beside = look.source.other(
-                planned.settings.seed + 1, max(look.bandlimit, min(2 * look.bandlimit + 4, _BESIDE))
-            )
-            self._apart = -beside.of(self._vertices)[0][:, None, :]
-            self._apart[:, :, : self._vectors.shape[2]] += self._vectors
-        self._work.learn(lambda _: of_bases_vectors)
-        self.seconds = time.perf_counter() - begin
+    learned: LearnedBases
+    parts: CapParts
+    vectors: NDArray[np.float32]
+    transport_error: NDArray[np.float32] | None
+    metric: ErrorMetric
+    tuning: SearchTuning = TUNING
 
-    def within(self, squared: NDArray) -> Coded:
+    def fit_tolerance(self, allowance: NDArray) -> ToleranceTrial:
         """The coarsest tolerance that adds at most so much, (lights,), to the squared relative error of transport."""
+        tuning, (finest, coarsest) = self.tuning, (self.tuning.finest_tolerance, self.tuning.coarsest_tolerance)
         # The tolerance is about the error under light of such a spectrum, and what it adds is less.
-        tolerance = _USUAL * float(np.sqrt(np.min(squared)))
+        tolerance = tuning.usual_tolerance * float(np.sqrt(np.min(allowance)))
         power, before = 1.0, None
-        for _ in range(_TRIALS):
-            tolerance = min(max(tolerance, _FINEST), _COARSEST)
-            found = self._tried(tolerance)
-            room = _SAFE * float(np.sqrt(np.min(squared / np.maximum(found.squared, 1e-300))))
+        for _ in range(tuning.tolerance_trials):
+            tolerance = min(max(tolerance, finest), coarsest)
+            trial = self.try_tolerance(tolerance)
+            room = tuning.room_used * math.sqrt(float(np.min(allowance / np.maximum(trial.squared, 1e-300))))
             if before is not None and before.tolerance != tolerance:
-                grown = 0.5 * math.log(max(np.max(found.squared / np.maximum(before.squared, 1e-300)), 1e-300))
-                power = min(max(grown / math.log(tolerance / before.tolerance), 0.5), 3.0)
+                power = _exponent(before, trial, tuning)
             change = room ** (1.0 / power)
-            at_limit = (tolerance >= _COARSEST and change >= 1.0) or (tolerance <= _FINEST and change <= 1.0)
-            if at_limit or 1.0 / _CLOSE <= change <= _CLOSE:
+            if (tolerance >= coarsest and change >= 1.0) or (tolerance <= finest and change <= 1.0):
+                return trial
+            if 1.0 / tuning.close_tolerance <= change <= tuning.close_tolerance:
                 break
-            before, tolerance = found, tolerance * min(max(change, 0.1), 3.0)
-        if at_limit:
-            return found
+            least, most = tuning.tolerance_steps
+            before, tolerance = trial, tolerance * min(max(change, least), most)
         # Near enough to know what another tolerance gives without trying it.
-        change = min(max(change, 1.0 / _CLOSE), _CLOSE)
-        work = found.work.asked(found.tolerance * change)
-        assert found.work.start is not None
-        tuning = found.work.start.tuning
-        work.start = WarmStart(replace(tuning, step=tuning.step * change))
+        change = min(max(change, 1.0 / tuning.close_tolerance), tuning.close_tolerance)
         return replace(
-            found, work=work, tolerance=found.tolerance * change, squared=found.squared * change ** (2 * power)
+            trial,
+            learned=trial.learned.with_tolerance(trial.tolerance * change),
+            warm_start=trial.warm_start.scaled(change),
+            squared=trial.squared * change ** (2.0 * power),
         )
 
-    def _tried(self, tolerance: float) -> Coded:
+    def try_tolerance(self, tolerance: float) -> ToleranceTrial:
+        """What one tolerance costs and adds."""
         begin = time.perf_counter()
-        work = self._work.asked(tolerance)
-        while True:
+        vertices = self.parts.vertices
+        traced = TransferBlock(vertices, self.vectors, np.zeros(vertices.size, dtype=np.float32), 0)
+        projection: Projection | None = choose_projection(self.learned.with_tolerance(tolerance))
+        while projection is not None:
             store = MemoryStore()
-            nothing = np.zeros(self._vertices.size)
-            store.add(0, work.block(self._vertices, self._vectors.copy(), nothing, 0))
+            store.add(0, projection.block(traced))
             projected = time.perf_counter() - begin
-            if not work.widened(store, {}):
-                break
-        trial: Trial = work.of_clusters(self._parts).trial(store, self._caps)
-        work.start = trial.start
-        ratio = self._count / self._vertices.size
-        return Coded(
-            work,
-            tolerance,
-            self._added(work, trial),
-            trial.bytes + work.overhead / self._count,
-            ratio * (0.5 * projected + trial.reading + _PASSES * trial.coding + trial.decoding),
+            blocks = replace(projection.caps(store), members=self.parts.members)
+            used, projection = projection, widen(projection, blocks)
+        coding = try_caps(used, blocks, self.parts.caps)
+        count = len(self.learned.receivers)
+        seconds = self.tuning.projection_passes * projected + coding.reading + coding.decoding
+        seconds += self.tuning.coding_passes * coding.coding
+        return ToleranceTrial(
+            used.learned,
+            coding.warm_start,
+            self._added_error(coding),
+            coding.bytes_per_vertex + used.overhead / count,
+            seconds * count / vertices.size,
         )
 
-    def _added(self, work: Encoder, trial: Trial) -> NDArray[np.float64]:
+    def _added_error(self, coding: CodingTrial) -> NDArray[np.float64]:
         """(lights,) what coding adds to the squared error of transport.
 
         That is less than its own square: what is rounded away is noise of few rays in part, and is alike to what the
         bandlimit leaves out. So the product of both errors is negative. It shows in the product with the difference
-        from transport of other rays and of more degrees, whose noise is independent.
+        from transport of other rays and of more degrees.
         """
-        found = self._yardstick.of_coding(work, trial)
-        if self._apart is None:
-            return found
-        off = np.zeros_like(self._apart)
-        for c, coefficients in zip(self._caps, trial.decoded, strict=True):
-            rows = np.searchsorted(self._vertices, self._parts.members[c])
-            vectors = work.of_clusters(self._parts).reconstructed(c, coefficients)
-            off[rows, :, : vectors.shape[2]] = vectors - self._vectors[rows]
-        own = self._yardstick.product(off, off)
-        both = self._yardstick.product(off, self._apart)
-        return np.asarray(found * np.clip(1.0 + 2.0 * both / np.maximum(own, 1e-300), _LEAST_ADDED, 1.0))
+        own_square = expected_error(self.metric, coding)
+        if self.transport_error is None:
+            return own_square
+        vertices = self.parts.vertices
+        difference = np.zeros_like(self.transport_error)
+        for c, coefficients in zip(self.parts.caps, coding.decoded, strict=True):
+            members = self.parts.members[c]
+            rows = np.searchsorted(vertices, members)
+            vectors = coding.projection.reconstruct(c, members, coefficients)
+            difference[rows, :, : vectors.shape[2]] = vectors - self.vectors[rows]
+        own = self.metric.inner_product(difference, difference)
+        both = self.metric.inner_product(difference, self.transport_error)
+        added = np.clip(1.0 + 2.0 * both / np.maximum(own, 1e-300), self.tuning.least_added, 1.0)
+        return np.asarray(own_square * added)
 
 
-def _neighbours(positions: NDArray, clusters: Clusters, numbers: Sequence[int]) -> Clusters:
-    """Caps with no more vertices than are tried, which are near each other."""
-    members = list(clusters.members)
-    for c in numbers:
-        along = members[c][np.argsort(morton(positions[members[c]]), kind="stable")]
-        begin = max(0, (along.size - _OF_EACH) // 2)
-        members[c] = np.sort(along[begin : begin + _OF_EACH])
-    return clusters.thinned(members)
+def expected_error(metric: ErrorMetric, coding: CodingTrial) -> NDArray[np.float64]:
+    """(lights,) squared relative errors that compression is expected to make, from coding some caps."""
+    lost = coding.expected.lost
+    if isinstance(metric, MapMetric):
+        size, albedo_square = num_coefficients(lost.size - 1), np.mean(metric.albedo**2, axis=0)
+        squares = [float(coding.error_under(light[:, :size]) @ albedo_square) for light in metric.lighting]
+    else:
+        assert isinstance(metric, SpectrumMetric)
+        common = min(lost.size, metric.power.size)
+        squares = [float(metric.power[:common] @ lost[:common])]
+    reference = metric.reference_square
+    return np.where(reference > 0.0, np.array(squares) / np.maximum(reference, 1e-300), 0.0)
+
+
+def _exponent(before: ToleranceTrial, after: ToleranceTrial, tuning: SearchTuning) -> float:
+    """Of the law by which errors grow with the tolerance."""
+    growth = 0.5 * math.log(max(np.max(after.squared / np.maximum(before.squared, 1e-300)), 1e-300))
+    least, most = tuning.tolerance_exponents
+    return min(max(growth / math.log(after.tolerance / before.tolerance), least), most)

@@ -1,262 +1,270 @@
-"""What could be chosen, what it would give and take, and the choice."""
+"""The next step toward a goal: a pure function of the table of what was measured so far.
+
+First transport is explored, cheap trials first, until some combination of rays and bandlimit is expected to leave room
+for compression. Then compression is tried of a few candidates, each of which gives transport another share of the
+error, and the fastest of them is chosen. Toward a time, it is the most exact one that keeps it.
+"""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.accuracy.coding_pilot import Coded, CodingPilot
 from slepian_prt.accuracy.goal import Goal
-from slepian_prt.accuracy.transport_pilot import TransportPilot, TransportTrial
-from slepian_prt.errors import UserError
-
-# Parts of the error asked for that transport alone may make, one contender for each, if what it takes to look at it is
-# at most such a part of what the best so far takes.
-_PARTS = (0.75, 0.6, 0.9, 0.96)
-_GOOD = 0.9
-_LOOKING = 0.2
-_LEAST_FOR_CODING = 0.2
-
-# Standard errors of the pilot, and of the vertices held out, that are kept free; and what models may be off by.
-_SAFE, _LIKELY = 2.0, 0.4
-_MODELS_OFF = 0.03
-_MOST_FREE = 0.2
-
-# With a time to keep: how much of it is kept free, and transport of how much of the rest is looked at.
-_TIME_OFF = 0.12
-_FOR_LOOKING = 0.2
-_HARDLY_WORSE = 1.1
-_FOR_THE_WORK = 0.55
-_FOR_TRIALS = 0.7
-_TRIES = 4
+from slepian_prt.accuracy.table import Combination, Table
+from slepian_prt.accuracy.trials import Choice, MeasureCoding, MeasureTransport
+from slepian_prt.accuracy.tuning import Stage
 
 
 @dataclass(frozen=True)
-class Choice:
-    """Rays, bandlimit and tolerance, and what is foreseen of them.
+class Choose:
+    """The search is over."""
 
-    Attributes
-    ----------
-    look : TransportTrial
-    coded : Coded
-    names : tuple of str
-        Of the lights.
-    transport_error, error : (lights,)
-        Relative RMS of relit radiance, before compression and after.
-    spread : float
-        Largest relative standard error of ``error`` that comes from looking at some vertices only.
-    """
-
-    look: TransportTrial
-    coded: Coded
-    names: tuple[str, ...]
-    transport_error: NDArray[np.float64]
-    error: NDArray[np.float64]
-    spread: float
-
-    @property
-    def samples(self) -> int:
-        return self.look.samples
-
-    @property
-    def bandlimit(self) -> int:
-        return self.look.bandlimit
-
-    @property
-    def tolerance(self) -> float:
-        return self.coded.tolerance
-
-    @property
-    def worst(self) -> float:
-        """The largest error under any light."""
-        return float(self.error.max())
-
-    @property
-    def transport_seconds(self) -> float:
-        """Zero where all of it has been traced."""
-        return self.look.seconds if self.look.transfer is None else 0.0
-
-    @property
-    def seconds(self) -> float:
-        """Of what is left to do."""
-        return self.transport_seconds + self.coded.seconds
+    choice: Choice
 
 
-class Chooser:
-    """Looks at what could be chosen.
+@dataclass(frozen=True)
+class Refuse:
+    """Nothing meets the goal; the message says what can be had."""
+
+    message: str
+
+
+Step = MeasureTransport | MeasureCoding | Choose | Refuse
+
+
+def decide(table: Table, goal: Goal, spent: float) -> Step:
+    """What to measure next, or the choice: the fastest that meets the error, or the most exact that keeps the time.
+
+    Where both are wanted, the error counts if it can be met in time; else the time does.
 
     Parameters
     ----------
-    transport : TransportPilot
-    coding : callable
-        Gives the `CodingPilot` of a `TransportTrial`.
+    table : Table
     goal : Goal
-    started : float
-        When the run began, by `time.perf_counter`.
+        Checked.
+    spent : float
+        Seconds so far, of those that the goal allows.
     """
+    if goal.error is not None:
+        step = _toward_error(table, goal.error)
+        in_time = goal.seconds is None or not isinstance(step, Choose) or spent + step.choice.seconds <= goal.seconds
+        if in_time:
+            return step
+    assert goal.seconds is not None
+    return _toward_time(table, goal.seconds, spent)
 
-    def __init__(
-        self,
-        transport: TransportPilot,
-        coding: Callable[[TransportTrial], CodingPilot],
-        goal: Goal,
-        started: float,
-    ) -> None:
-        self._transport, self._coding, self._goal = transport, coding, goal
-        self._started = started
-        self.choices: list[Choice] = []
 
-    @property
-    def spent(self) -> float:
-        """Seconds so far."""
-        return time.perf_counter() - self._started
+# --- Exploring -------------------------------------------------------------------------------------------------------
 
-    def choose(self, tightened: float = 1.0) -> Choice:
-        """The fastest that meets the error, or the most exact that keeps the time.
 
-        Raises
-        ------
-        UserError
-            Nothing meets the goal.
-        """
-        goal = self._goal
-        if goal.error is not None:
-            found = self._for_error(tightened * goal.error)
-            if goal.seconds is None or self.spent + found.seconds <= goal.seconds:
-                return found
-        assert goal.seconds is not None
-        return self._for_seconds(goal.seconds)
+def _explore(table: Table, target: float, sufficient: float, seconds: float = math.inf) -> MeasureTransport | None:
+    """A trial of transport, until a combination is expected to have the error ``target``, or none can.
 
-    # --- A wanted error ----------------------------------------------------------------------------------------------
+    If there is one that has the error ``sufficient``, trials that are expensive beside it are skipped. Nothing is tried
+    whose transport would take more than ``seconds`` of all receivers.
+    """
+    lowest = min(max(table.tuning.explored_bandlimits[0], table.bandlimits[0]), table.bandlimits[-1])
+    for samples in table.samples[:3:2] if table.model.by_blocks else table.samples[:1]:
+        if samples not in table.explored:
+            return MeasureTransport(samples, lowest)
+    if table.feasible(target, seconds):
+        return None
+    trial = _next_trial(table, target, seconds)
+    runs = [table.seconds(*c) for c in table.feasible(sufficient, seconds)]
+    if trial is None or (runs and table.trial_seconds(*trial) > table.tuning.expensive * min(runs)):
+        return None
+    return MeasureTransport(*trial)
 
-    def _for_error(self, wanted: float) -> Choice:
-        tried: set[tuple[int, int]] = set()
-        # Dear looks are spared if there is something good enough, unless that turns out to be none; and if nothing is
-        # safe, what is likely is better than nothing.
-        for part, good, safe in ((_PARTS[0], _GOOD, _SAFE), (_GOOD, 0.0, _SAFE), (max(_PARTS), 0.0, _LIKELY)):
-            self._transport.explore(part * wanted, good * wanted)
-            best = self._fastest(wanted, safe, tried)
-            if best is not None:
-                return best
-            tried.clear()
-        raise self._cannot(wanted)
 
-    def _fastest(self, wanted: float, safe: float, tried: set[tuple[int, int]]) -> Choice | None:
-        """The fastest of some contenders, as many as it pays to look at; ``safe`` in standard errors."""
-        transport = self._transport
-        best: Choice | None = None
-        for part in _PARTS:
-            began = self.spent
-            for _ in range(_TRIES):
-                left = [c for c in transport.feasible(part * wanted) if c not in tried and self._room(*c, wanted, safe)]
-                # Transport that takes as long as the best choice in all cannot lead to a better one.
-                left = [c for c in left if best is None or transport.seconds(*c) < 0.9 * best.seconds]
-                if not left:
-                    break
-                fastest = min(left, key=lambda c: transport.rough(*c))
-                tried.add(fastest)
-                found = self._measured(*fastest, wanted, safe)
-                if found is not None:
-                    if best is None or found.seconds < best.seconds:
-                        best = found
-                    break
-            if best is not None and self.spent - began > _LOOKING * best.seconds:
-                break
-        return best
+def _next_trial(table: Table, target: float, seconds: float) -> Combination | None:
+    """More rays or more degrees, whichever matters more; more rays only if that can help."""
+    explored = table.explored
+    bandlimit, most = max(trial.bandlimit for trial in explored.values()), max(explored)
+    degrees = (*table.tuning.explored_bandlimits, table.bandlimits[-1])
+    higher = [l for l in degrees if bandlimit < l <= table.bandlimits[-1]][:1]
+    noise = table.noise(most, bandlimit)
+    left_out = np.maximum(table.squared_error(most, bandlimit) - noise, 0.0)
+    unknown = len(explored) == 1
+    by_noise = unknown or bool(np.max(noise) > np.max(left_out))
+    helps = unknown or bool(higher) or bool(np.max(left_out) <= target**2)
+    more = [s for s in table.samples if s >= 4 * most][: int(helps)]
+    trials = [(s, bandlimit) for s in more] + [(most, l) for l in higher]
+    trials = [c for c in trials if table.model.fits(*c) and table.transport_seconds(*c) <= seconds]
+    # What is worse is improved first, if it can be.
+    return min(trials, key=lambda c: (c[0] > most) != by_noise, default=None)
 
-    def _measured(self, samples: int, bandlimit: int, wanted: float, safe: float) -> Choice | None:
-        """A contender with the coarsest tolerance that meets ``wanted``, or None if there is no room for it."""
-        look = self._transport.look(samples, bandlimit)
-        rest = _rest(look.error.squared[bandlimit], look.error.deviation[bandlimit], wanted, safe)
-        return None if np.any(rest < (_LEAST_FOR_CODING * wanted) ** 2) else self._completed(look, rest)
 
-    def _room(self, samples: int, bandlimit: int, wanted: float, safe: float) -> bool:
-        """Whether transport is foreseen to leave room for compression."""
-        transport = self._transport
-        rest = _rest(transport.squared(samples, bandlimit), transport.deviation(samples, bandlimit), wanted, safe)
-        return bool(np.all(rest >= (_LEAST_FOR_CODING * wanted) ** 2))
+# --- A wanted error --------------------------------------------------------------------------------------------------
 
-    def _completed(self, look: TransportTrial, rest: NDArray) -> Choice:
-        squared, deviation = look.error.squared[look.bandlimit], look.error.deviation[look.bandlimit]
-        if look.transfer is not None and look.transfer.bandlimit > look.bandlimit:
-            look = look.cut(look.bandlimit)
-        coded = self._coding(look).within(rest)
-        total = squared + coded.squared
-        spread = float(np.max(deviation * squared / np.maximum(total, 1e-300)))
-        names = self._transport.yardstick.names
-        found = Choice(look, coded, names, np.sqrt(squared), np.sqrt(total), spread)
-        self.choices.append(found)
-        return found
 
-    def _cannot(self, wanted: float) -> UserError:
-        """What can be had, and what limits it."""
-        transport = self._transport
-        combinations = [(s, l) for s in transport.samples for l in transport.bandlimits if transport.fits(s, l)]
-        samples, bandlimit = min(combinations, key=lambda c: float(np.max(transport.squared(*c))))
-        squared = transport.squared(samples, bandlimit)
-        worst = int(np.argmax(squared))
-        noise = float(transport.noise(samples, bandlimit)[worst])
-        best = math.sqrt(float(squared[worst]))
-        # If more degrees were there and did not help, it is the rays.
-        by_rays = noise > 0.5 * squared[worst] or bandlimit < transport.bandlimits[-1]
-        limit = f"{samples} rays per vertex leave" if by_rays else f"bandlimit {bandlimit} leaves"
-        claimed = max(best, float(transport.yardstick.noise[worst]))
-        spread = claimed * float(transport.deviation(samples, bandlimit)[worst])
-        offer = math.ceil(1000.0 * (claimed + _SAFE * spread) / (0.95 * max(_PARTS))) / 1000.0
-        return UserError(
-            f"an error of {wanted:g} cannot be met under {transport.yardstick.names[worst]}: {limit} "
-            f"{claimed:.2g} ± {spread:.1g} before compression, which is the least that can be had; ask for "
-            f"--max-error {offer:g} or more, or for smoother light"
+def _toward_error(table: Table, error: float) -> Step:
+    choices = [choice for choice in table.choices if choice.step.share is not None]
+    for stage in _stages(table, choices, error):
+        trial: Step | None = _code_last_candidate(table, error, stage.margin)
+        if trial is None and not choices:
+            trial = _explore(table, stage.target * error, stage.sufficient * error)
+        trial = trial or _next_candidate(table, choices, error, stage.margin)
+        if trial is not None:
+            return trial
+    if choices:
+        return Choose(min(choices, key=lambda choice: choice.seconds))
+    return Refuse(_what_can_be_had(table, error))
+
+
+def _stages(table: Table, choices: list[Choice], error: float) -> Sequence[Stage]:
+    """All of them; once there are choices, the stage that led to them."""
+    stages = table.tuning.stages
+    if not choices:
+        return stages
+    allowing = (
+        s for s in stages if any(_allowance(table, c.combination, error, s.margin) is not None for c in choices)
+    )
+    return [next(allowing, stages[-1])]
+
+
+def _code_last_candidate(table: Table, error: float, margin: float) -> MeasureCoding | None:
+    """Compression of the candidate whose transport was measured last, if there is room for it."""
+    last = _last_candidate(table)
+    if last is None or last.share is None:
+        return None
+    allowance = _allowance(table, (last.samples, last.bandlimit), error, margin)
+    return None if allowance is None else MeasureCoding(last.samples, last.bandlimit, allowance, last.share)
+
+
+def _next_candidate(
+    table: Table, choices: list[Choice], error: float, margin: float
+) -> MeasureTransport | MeasureCoding | None:
+    """The fastest candidate for the next share of the error, as long as it pays to try one."""
+    tuning, best = table.tuning, min((choice.seconds for choice in choices), default=math.inf)
+    if choices and _cost(table, choices[-1].step.share) > tuning.worth_trying * best:
+        return None
+    # Shares before the last one that led to a choice had nothing else to offer.
+    begin = 1 + max((tuning.shares.index(c.step.share) for c in choices if c.step.share is not None), default=-1)
+    coded = {choice.combination for choice in choices}
+    for share in tuning.shares[begin:]:
+        # Transport that takes as long as the best choice in all cannot lead to a better one.
+        candidates = (
+            c
+            for c in table.feasible(share * error)
+            if c not in coded and table.transport_seconds(*c) < tuning.hopeless * best
         )
-
-    # --- A wanted time -----------------------------------------------------------------------------------------------
-
-    def _for_seconds(self, seconds: float) -> Choice:
-        transport = self._transport
-        keep = (1.0 - _TIME_OFF) * seconds
-        if keep <= self.spent:
-            raise UserError(
-                f"{seconds:g} seconds cannot be kept: loading, planning and the pilot took {self.spent:.1f}; ask for "
-                f"--max-seconds {math.ceil(2.0 * self.spent)} or more"
-            )
-        transport.explore(0.0, 0.0, _FOR_LOOKING * (keep - self.spent))
-        fitting: list[Choice] = []
-        slower = math.inf
-        for _ in range(_TRIES):
-            left = min(_FOR_THE_WORK * (keep - self.spent), slower)
-            within = [c for c in transport.feasible(math.inf, left) if transport.rough(*c) <= left]
-            if not within:
-                # The fastest there is, with what is left of the time.
-                within = [min(transport.feasible(math.inf), key=lambda c: transport.rough(*c))]
-            exact = min(within, key=lambda c: float(np.max(transport.squared(*c))))
-            # Of those that are hardly worse, the fastest.
-            good = _HARDLY_WORSE**2 * float(np.max(transport.squared(*exact)))
-            samples, bandlimit = min(
-                (c for c in within if np.max(transport.squared(*c)) <= good), key=lambda c: transport.rough(*c)
-            )
-            look = transport.look(samples, bandlimit)
-            found = self._completed(look, np.maximum(look.error.squared[bandlimit], 1e-6))
-            fitting = [choice for choice in self.choices if self.spent + choice.seconds <= keep]
-            if fitting or len(within) == 1 or self.spent > _FOR_TRIALS * keep:
-                break
-            slower = 0.4 * min(slower, transport.rough(samples, bandlimit), found.seconds)
-        # What was kept free may be used up before nothing is done at all.
-        fitting = fitting or [choice for choice in self.choices if self.spent + choice.seconds <= seconds]
-        if not fitting:
-            least = min(choice.seconds for choice in self.choices)
-            raise UserError(
-                f"{seconds:g} seconds cannot be kept: the pilot took {self.spent:.1f}, and the fastest that was found "
-                f"would take {least:.1f} more; ask for --max-seconds {math.ceil(1.5 * (self.spent + least))}"
-            )
-        return min(fitting, key=lambda choice: choice.worst)
+        allowances = {c: a for c in candidates if (a := _allowance(table, c, error, margin)) is not None}
+        if not allowances or sum(trial.step.share == share for trial in table.transport) >= tuning.attempts:
+            continue
+        fastest = min(allowances, key=lambda c: table.seconds(*c))
+        if table.trial(*fastest) is None:
+            return MeasureTransport(*fastest, share, candidate=True)
+        return MeasureCoding(*fastest, allowances[fastest], share)
+    return None
 
 
-def _rest(squared: NDArray, deviation: NDArray, wanted: float, safe: float) -> NDArray[np.float64]:
-    """(lights,) what transport leaves of the squared error, with something kept free for what is not known well."""
-    free = 1.0 - np.minimum(_MODELS_OFF + safe * deviation * squared / wanted**2, _MOST_FREE)
-    return np.asarray((free * wanted) ** 2 - squared)
+def _allowance(table: Table, combination: Combination, error: float, margin: float) -> NDArray[np.float64] | None:
+    """(lights,) what transport leaves of the squared error; None if that is too little for compression.
+
+    Something is kept free for what is not known well, among it ``margin`` standard errors.
+    """
+    tuning, squared = table.tuning, table.squared_error(*combination)
+    uncertain = margin * table.standard_error(*combination) * squared / error**2
+    free = 1.0 - np.minimum(tuning.models_off + uncertain, tuning.most_free)
+    rest = np.asarray((free * error) ** 2 - squared)
+    return rest if np.all(rest >= (tuning.least_for_coding * error) ** 2) else None
+
+
+def _last_candidate(table: Table) -> MeasureTransport | None:
+    """The trial of transport that was made last, if it was of a candidate that compression was not tried of."""
+    if not table.transport or not table.transport[-1].step.candidate:
+        return None
+    step = table.transport[-1].step
+    coded = {choice.combination for choice in table.choices}
+    return None if (step.samples, step.bandlimit) in coded else step
+
+
+def _cost(table: Table, share: float | None) -> float:
+    """Seconds that trials for a share took."""
+    transport = sum(trial.cost for trial in table.transport if trial.step.share == share)
+    return transport + sum(choice.cost for choice in table.choices if choice.step.share == share)
+
+
+def _what_can_be_had(table: Table, error: float) -> str:
+    """What the least error is, and what limits it."""
+    tuning = table.tuning
+    samples, bandlimit = min(table.worst_squared, key=lambda c: table.worst_squared[c])
+    squared = table.squared_error(samples, bandlimit)
+    worst = int(np.argmax(squared))
+    # If more degrees were there and did not help, it is the rays.
+    by_rays = table.noise(samples, bandlimit)[worst] > 0.5 * squared[worst] or bandlimit < table.bandlimits[-1]
+    limit = f"{samples} rays per vertex leave" if by_rays else f"bandlimit {bandlimit} leaves"
+    least = max(math.sqrt(float(squared[worst])), float(table.reference_noise[worst]))
+    spread = least * float(table.standard_error(samples, bandlimit)[worst])
+    margin = tuning.stages[0].margin
+    offer = math.ceil(1000.0 * (least + margin * spread) / (tuning.offered * max(tuning.shares))) / 1000.0
+    return (
+        f"an error of {error:g} cannot be met under {table.lights[worst]}: {limit} {least:.2g} ± {spread:.1g} before "
+        f"compression, which is the least that can be had; ask for `max_error={offer:g}` or more, or for smoother light"
+    )
+
+
+# --- A wanted time ---------------------------------------------------------------------------------------------------
+
+
+def _toward_time(table: Table, seconds: float, spent: float) -> Step:
+    tuning, last = table.tuning, _last_candidate(table)
+    if last is not None and last.share is None:
+        return _code_in_time(table, (last.samples, last.bandlimit))
+    timed = [choice for choice in table.choices if choice.step.share is None]
+    keep = (1.0 - tuning.time_free) * seconds
+    if timed:
+        in_time = any(spent + choice.seconds <= keep for choice in table.choices)
+        if in_time or len(timed) >= tuning.timed_candidates or spent > tuning.time_for_trials * keep:
+            return _most_exact(table, seconds, spent)
+    elif keep <= spent:
+        return Refuse(
+            f"{seconds:g} seconds cannot be kept: loading, planning and the pilot took {spent:.1f}; ask for "
+            f"`max_seconds={math.ceil(2.0 * spent)}` or more"
+        )
+    trial = None if timed else _explore(table, 0.0, 0.0, tuning.time_to_explore * (keep - spent))
+    if trial is not None:
+        return trial
+    candidate = _most_exact_candidate(table, timed, tuning.time_for_run * (keep - spent))
+    if candidate in {choice.combination for choice in timed}:
+        return _most_exact(table, seconds, spent)
+    if table.trial(*candidate) is None:
+        return MeasureTransport(*candidate, candidate=True)
+    return _code_in_time(table, candidate)
+
+
+def _code_in_time(table: Table, combination: Combination) -> MeasureCoding:
+    """Compression may add about as much error as transport has."""
+    allowance = np.maximum(table.squared_error(*combination), table.tuning.least_allowance)
+    return MeasureCoding(*combination, allowance)
+
+
+def _most_exact_candidate(table: Table, timed: list[Choice], seconds: float) -> Combination:
+    """Of those that are hardly worse than the most exact that takes no more than so many seconds, the fastest."""
+    tuning, limit = table.tuning, math.inf
+    for choice in timed:  # each took too long
+        limit = tuning.speed_up * min(limit, table.seconds(*choice.combination), choice.seconds)
+    limit = min(seconds, limit)
+    within = [c for c in table.feasible(math.inf) if table.seconds(*c) <= limit]
+    # If there is none: the fastest there is, with what is left of the time.
+    within = within or [min(table.worst_squared, key=lambda c: table.seconds(*c))]
+    enough = tuning.hardly_worse**2 * min(table.worst_squared[c] for c in within)
+    return min((c for c in within if table.worst_squared[c] <= enough), key=lambda c: table.seconds(*c))
+
+
+def _most_exact(table: Table, seconds: float, spent: float) -> Choose | Refuse:
+    """Of the choices that keep the time; what was kept free of it may be used up before nothing is done at all."""
+    for limit in ((1.0 - table.tuning.time_free) * seconds, seconds):
+        fitting = [choice for choice in table.choices if spent + choice.seconds <= limit]
+        if fitting:
+            return Choose(min(fitting, key=lambda choice: choice.worst))
+    least = min(choice.seconds for choice in table.choices)
+    return Refuse(
+        f"{seconds:g} seconds cannot be kept: the pilot took {spent:.1f}, and the fastest that was found would take "
+        f"{least:.1f} more; ask for `max_seconds={math.ceil(1.5 * (spent + least))}`"
+    )

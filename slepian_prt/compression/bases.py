@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import Pilot
 from slepian_prt.compression.prediction import by_degree
-from slepian_prt.errors import UserError
+from slepian_prt.errors import check_choice
 from slepian_prt.slepian.concentration import CapBasis, cap_basis, cap_moment_factors, moment_basis, scatter_radial
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
@@ -25,107 +26,6 @@ from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 
 # Caps share the basis of a cap at most this much wider: a few distinct problems instead of one per cap.
 _ANGLE_STEP = 1.02
-
-
-@dataclass(frozen=True)
-class LinearBasis:
-    """K functions of one cap: t ≈ mean + S⁻¹ Σ_k c_k f_k with c = fᵀ S (t - mean), S = diag of the weights.
-
-    The functions are orthonormal. They are kept in whichever of three forms is smallest to store; what was rounded to
-    float16 is made orthonormal again before it is used.
-
-    Attributes
-    ----------
-    center : (3,)
-    orders : (K,) int16 or None, radial : (K, L+1) float32, float16 or None
-        Functions of one order each in the cap's frame.
-    dense : (K, (L+1)²) float32, float16 or None
-        Functions in the world frame. If this and ``radial`` are None, the functions are the first K harmonics.
-    mean : (channels, (L+1)²) float32, float16 or None
-    weights : (L+1,) or None
-        Of a light prior, for each degree; None stands for ones.
-    count, bandlimit : int
-        K and L.
-    """
-
-    center: NDArray[np.float64]
-    bandlimit: int
-    count: int
-    orders: NDArray[np.int16] | None = None
-    radial: NDArray | None = None
-    dense: NDArray | None = None
-    mean: NDArray | None = None
-    weights: NDArray[np.float64] | None = None
-
-    @cached_property
-    def functions(self) -> NDArray[np.float64]:
-        """(K, (L+1)²) in the world frame."""
-        if self.radial is not None and self.orders is not None:
-            radial = self.radial.astype(np.float64)
-            if self.radial.dtype == np.float16:
-                for m in np.unique(self.orders):
-                    radial[self.orders == m] = orthonormal_rows(radial[self.orders == m])
-            return rotate_sh(scatter_radial(radial, self.orders), rotation_to(self.center))
-        if self.dense is not None:
-            dense = self.dense.astype(np.float64)
-            return orthonormal_rows(dense) if self.dense.dtype == np.float16 else dense
-        return np.eye(self.count, num_coefficients(self.bandlimit))
-
-    @cached_property
-    def analysis(self) -> NDArray[np.float32]:
-        """(K, (L+1)²): what a vector is multiplied with to get its coefficients."""
-        return (self.functions * self._scale).astype(np.float32)
-
-    @property
-    def synthesis(self) -> NDArray[np.float64]:
-        """(K, (L+1)²): what coefficients are multiplied with to get the vector."""
-        return self.functions if self.weights is None else np.asarray(self.functions / self._scale)
-
-    @property
-    def _scale(self) -> NDArray[np.float64]:
-        return np.ones(1) if self.weights is None else self.weights[degrees(self.bandlimit)]
-
-    def first(self, count: int) -> LinearBasis:
-        """The basis of the first ``count`` functions."""
-        found = replace(
-            self,
-            count=count,
-            orders=None if self.orders is None else self.orders[:count],
-            radial=None if self.radial is None else self.radial[:count],
-            dense=None if self.dense is None else self.dense[:count],
-        )
-        if "functions" in self.__dict__:  # Gram-Schmidt went in order
-            found.__dict__["functions"] = self.functions[:count]
-        return found
-
-    def as_float16(self) -> LinearBasis:
-        """The basis with all that is stored of it in float16."""
-        parts = (None if part is None else part.astype(np.float16) for part in (self.radial, self.dense, self.mean))
-        radial, dense, mean = parts
-        return replace(self, radial=radial, dense=dense, mean=mean)
-
-    def project(self, vectors: NDArray) -> NDArray[np.float32]:
-        """(n, K channels) coefficients of transfer vectors (n, channels, (L+1)²); those of one function together."""
-        centred = vectors if self.mean is None else vectors - self.mean
-        n, channels, size = centred.shape
-        coefficients = centred.reshape(-1, size) @ self.analysis.T
-        by_function = np.swapaxes(coefficients.reshape(n, channels, self.count), 1, 2)
-        return by_function.reshape(n, self.count * channels).astype(np.float32)
-
-    def reconstruct(self, coefficients: NDArray, channels: int) -> NDArray[np.float32]:
-        """(n, channels, (L+1)²) transfer vectors from (n, K channels) coefficients."""
-        n = len(coefficients)
-        by_channel = np.swapaxes(coefficients.reshape(n, self.count, channels), 1, 2).reshape(n * channels, self.count)
-        vectors = (by_channel.astype(np.float32) @ self.synthesis.astype(np.float32)).reshape(
-            n, channels, num_coefficients(self.bandlimit)
-        )
-        return vectors if self.mean is None else vectors + self.mean
-
-
-def orthonormal_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Gram-Schmidt of nearly orthonormal rows, in order."""
-    q, r = np.linalg.qr(rows.T)
-    return np.asarray((q * np.where(np.diag(r) < 0.0, -1.0, 1.0)).T)
 
 
 @dataclass(frozen=True)
@@ -160,14 +60,14 @@ class Frame(NamedTuple):
         Of the smallest cap that holds its axes.
     spread : float
         Of the cap that, evenly filled, has axes as far from its centre on average.
-    kind : int
+    occlusion_class : int
         Which second moment is its own.
     """
 
     center: NDArray[np.float64]
     half_angle: float
     spread: float
-    kind: int
+    occlusion_class: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +80,7 @@ class Problem:
     frames : tuple of Frame
         One per cap.
     pilot : Pilot
-        Transfer of a few hundred vertices, for each kind of cluster.
+        Transfer of a few hundred vertices, for each occlusion class.
     weights : (L+1,) or None
         Of a light prior.
     """
@@ -201,39 +101,40 @@ class Problem:
         if kernel is None:
             return self._once(("plain", half_angle), lambda: cap_basis(self.bandlimit, half_angle))
         weighted = kernel * self.scale
-        return self._once(("zonal", half_angle), lambda: cap_basis(self.bandlimit, half_angle, kernel=weighted))
+        key = ("zonal", half_angle, weighted.tobytes())
+        return self._once(key, lambda: cap_basis(self.bandlimit, half_angle, kernel=weighted))
 
-    def adapted(self, kind: int, half_angle: float) -> CapBasis:
+    def adapted(self, occlusion_class: int, half_angle: float) -> CapBasis:
         """Functions of a cap about z from the pilot's second moment, under the light prior."""
 
         def solve() -> CapBasis:
-            return moment_basis(self.bandlimit, half_angle, self.moment_factors(kind, half_angle))
+            return moment_basis(self.bandlimit, half_angle, self.moment_factors(occlusion_class, half_angle))
 
-        return self._once(("adapted", kind, half_angle), solve)
+        return self._once(("adapted", occlusion_class, half_angle), solve)
 
-    def moment_factors(self, kind: int, half_angle: float) -> list[NDArray[np.float64]]:
+    def moment_factors(self, occlusion_class: int, half_angle: float) -> list[NDArray[np.float64]]:
         """Factors of the pilot's weighted second moment over a cap of that half-angle."""
 
         def solve() -> list[NDArray[np.float64]]:
-            factors = cap_moment_factors(self.bandlimit, half_angle, self.pilot.moments[kind])
+            factors = cap_moment_factors(self.bandlimit, half_angle, self.pilot.moments[occlusion_class])
             return [factor * self.scale[m:] for m, factor in enumerate(factors)]
 
-        return self._once(("moment", kind, half_angle), solve)
+        return self._once(("moment", occlusion_class, half_angle), solve)
 
-    def moment_rows(self, kind: int, half_angle: float) -> NDArray[np.float64]:
+    def moment_rows(self, occlusion_class: int, half_angle: float) -> NDArray[np.float64]:
         """(r, (L+1)²): the same factors as vectors in the cap's frame, of all orders."""
 
         def solve() -> NDArray[np.float64]:
             l = np.arange(self.bandlimit + 1)
             rows = []
-            for m, factor in enumerate(self.moment_factors(kind, half_angle)):
+            for m, factor in enumerate(self.moment_factors(occlusion_class, half_angle)):
                 for sign in (1,) if m == 0 else (1, -1):
                     block = np.zeros((len(factor), num_coefficients(self.bandlimit)))
                     block[:, l[m:] * (l[m:] + 1) + sign * m] = factor
                     rows.append(block)
             return np.concatenate(rows)
 
-        return self._once(("rows", kind, half_angle), solve)
+        return self._once(("rows", occlusion_class, half_angle), solve)
 
     def exit_radiance(self, half_angle: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Orthonormal radial coefficients and orders that span S D_t g_i, i = 1, 2, …; see `_slepian`."""
@@ -316,18 +217,82 @@ def _transport(problem: Problem, frame: Frame) -> Candidate:
 
 def _adapted(problem: Problem, frame: Frame) -> Candidate:
     """Eigenvectors of the pilot's second moment over the cap: knows about shadows."""
-    functions = problem.adapted(frame.kind, shared_half_angle(frame.spread))
+    functions = problem.adapted(frame.occlusion_class, shared_half_angle(frame.spread))
     return _radial_candidate(problem, frame, "adapted", functions.radial, functions.orders)
 
 
-ANALYTIC: dict[str, Callable[[Problem, Frame], Candidate]] = {
-    "adapted": _adapted,
-    "transport": _transport,
-    "slepian": _slepian,
-    "incident": _incident,
-    "sh": _sh,
-    "direct": _direct,
+class CurveStyle(NamedTuple):
+    """How a curve is drawn: the colour, marker and dash of Matplotlib, any one of which tells it from the others."""
+
+    color: str
+    marker: str
+    dash: str
+
+
+@dataclass(frozen=True)
+class BasisEntry:
+    """What is known of a basis by its name; a new basis is one more entry of ``BASES``.
+
+    Attributes
+    ----------
+    description : str
+        Half a sentence, for help and reports.
+    style : CurveStyle
+    build : callable or None
+        Makes the candidate of one cap; None for bases that are made from the vectors of the whole mesh.
+    complete : bool
+        Whether all its functions together hold any vector, so that any tolerance can be met.
+    """
+
+    description: str
+    style: CurveStyle
+    build: Callable[[Problem, Frame], Candidate] | None
+    complete: bool = True
+
+
+# Colours of Okabe & Ito, safe for colour-blind readers.
+BASES = {
+    "adapted": BasisEntry(
+        "eigenvectors of the mean transport over the cap, learnt from a pilot of a few hundred vertices",
+        CurveStyle("#D55E00", "o", "-"),
+        _adapted,
+    ),
+    "transport": BasisEntry(
+        "eigenvectors of unshadowed diffuse transport over the cap, known without looking at the scene",
+        CurveStyle("#E69F00", "s", "-"),
+        _transport,
+    ),
+    "slepian": BasisEntry(
+        "the paper's Slepian functions of the cap of normals, for exit radiance",
+        CurveStyle("#0072B2", "D", "--"),
+        _slepian,
+        complete=False,
+    ),
+    "incident": BasisEntry(
+        "Slepian functions of the cap that holds all incident light (the cap of normals widened by 90°)",
+        CurveStyle("#56B4E9", "^", "--"),
+        _incident,
+    ),
+    "sh": BasisEntry("spherical harmonics cut at a lower degree", CurveStyle("#222222", "x", ":"), _sh),
+    "direct": BasisEntry(
+        "transfer projected on the Slepian functions of the cap of normals itself: what not to do",
+        CurveStyle("#CC79A7", "P", ":"),
+        _direct,
+        complete=False,
+    ),
+    "pca": BasisEntry(
+        "mean and principal components of each cap; has to see all vectors and to store its bases",
+        CurveStyle("#009E73", "^", ":"),
+        None,
+    ),
+    "cpca": BasisEntry(
+        "pca with clusters iterated by reconstruction error (Sloan 2003)",
+        CurveStyle("#009E73", "v", "-."),
+        None,
+    ),
 }
+
+ANALYTIC = {name: entry.build for name, entry in BASES.items() if entry.build is not None}
 
 
 def candidates(name: str, problem: Problem) -> list[Candidate]:
@@ -338,12 +303,25 @@ def candidates(name: str, problem: Problem) -> list[Candidate]:
     ValueError
         Unknown name.
     """
-    if name not in ANALYTIC:
-        raise UserError(f"basis must be one of {', '.join(ANALYTIC)}, not {name!r}")
+    check_choice(name, "basis", ANALYTIC)
     return [ANALYTIC[name](problem, frame) for frame in problem.frames]
 
 
 def _radial_candidate(problem: Problem, frame: Frame, name: str, radial: NDArray, orders: NDArray) -> Candidate:
+    """A candidate of orthonormal functions of one order each, about the pole, the most important first.
+
+    Parameters
+    ----------
+    problem : Problem
+    frame : Frame
+    name : str
+        Of the basis: caps of the same angles share its functions by that name.
+    radial : (K_max, L+1)
+        Coefficients over the degree.
+    orders : (K_max,)
+        Signed orders m.
+    """
+
     def cut(k: int) -> LinearBasis:
         return LinearBasis(
             frame.center,
@@ -355,7 +333,7 @@ def _radial_candidate(problem: Problem, frame: Frame, name: str, radial: NDArray
         )
 
     # Caps of one half-angle have the same functions and the same expectations.
-    key = (name, frame.kind, shared_half_angle(frame.half_angle), shared_half_angle(frame.spread))
+    key = (name, frame.occlusion_class, shared_half_angle(frame.half_angle), shared_half_angle(frame.spread))
     in_cap_frame = problem._once(("in frame", *key), lambda: scatter_radial(radial, orders))
     return _predicted(problem, frame, in_cap_frame, cut, key)
 
@@ -371,7 +349,7 @@ def _predicted(
 
     ``key`` tells which caps have the same functions.
     """
-    rows = problem.moment_rows(frame.kind, shared_half_angle(frame.spread))
+    rows = problem.moment_rows(frame.occlusion_class, shared_half_angle(frame.spread))
     scale = problem.scale[degrees(problem.bandlimit)]
 
     def energies() -> NDArray[np.float64]:

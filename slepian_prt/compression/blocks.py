@@ -1,8 +1,8 @@
-"""The blocks of a store, read cap by cap."""
+"""Projected blocks, read cap by cap."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,81 +10,91 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.checkpoint import Block, Store
-from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.codec.surface import CapSurface, surface_of
-from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.receivers import Receivers
 
 
 @dataclass(frozen=True, eq=False)
-class Caps:
-    """Coefficients of a mesh, cap by cap.
+class CapBlocks:
+    """Coefficients of receivers, cap by cap.
 
     Attributes
     ----------
-    mesh : Mesh
-    clusters : Clusters
-    widths : (n,)
-        Coefficients of a vertex of each cap.
+    receivers : Receivers
+    index : (V,)
+        Cap of each receiver.
+    members : sequence of (n,)
+        The receivers of each cap, ascending; or some of them, if the blocks hold those alone.
+    widths : (caps,)
+        Coefficients of a receiver of each cap.
     store : Store
     overrides : dict of int to Block
-        Blocks that replace what the store has of their vertices.
+        Blocks that replace what the store has of their receivers.
     """
 
-    mesh: Mesh
-    clusters: Clusters
+    receivers: Receivers
+    index: NDArray[np.int32]
+    members: Sequence[NDArray[np.int64]]
     widths: NDArray[np.int64]
     store: Store
     overrides: dict[int, Block]
 
-    @cached_property
-    def _starts(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        """For each block, where each cap's vertices begin, and their coefficients."""
-        return {number: self._starts_of(block) for number, block in self.store}
-
-    def _starts_of(self, block: Block) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        sizes = np.bincount(self.clusters.index[block.vertices], minlength=len(self.widths))
-        return tuple(np.concatenate([[0], np.cumsum(n)]) for n in (sizes, sizes * self.widths))  # type: ignore[return-value]
+    def size(self, caps: Sequence[int]) -> int:
+        """Number of receivers in some caps."""
+        return sum(self.members[c].size for c in caps)
 
     def energies(self) -> tuple[float, float]:
-        """Sums over all vertices of the squared norms of (weighted) vectors and of what the bases miss."""
-        figures = np.zeros((len(self.mesh.positions), 2))
+        """Sums over all receivers of the squared norms of (weighted) vectors and of what the bases miss."""
+        energy, missed = np.zeros((2, len(self.receivers)), dtype=np.float64)
         for block in self._blocks():
-            figures[block.vertices] = block.figures[:, 1:]
-        total, missed = figures.sum(axis=0)
-        return float(total), float(missed)
+            energy[block.vertices], missed[block.vertices] = block.statistics.energy, block.statistics.missed
+        return float(energy.sum()), float(missed.sum())
 
     def largest(self) -> float:
         """The largest size of a coefficient."""
         return max((float(np.abs(block.coefficients).max(initial=0.0)) for block in self._blocks()), default=0.0)
+
+    def coefficients(self, cap: int) -> NDArray[np.float32]:
+        """(n, K channels) of a cap, in the order of its members."""
+        members, width = self.members[cap], int(self.widths[cap])
+        values = np.zeros((members.size, width), dtype=np.float32)
+
+        def place(vertices: NDArray, flat: NDArray) -> None:
+            values[np.searchsorted(members, vertices)] = flat.reshape(vertices.size, width)
+
+        for number, starts in self._starts.items():
+            rows, numbers = _slices(starts, cap)
+            if rows.stop > rows.start:
+                place(*self.store.part(number, rows, numbers))
+        for block in self.overrides.values():
+            rows, numbers = _slices(self._starts_of(block), cap)
+            place(block.vertices[rows], block.coefficients[numbers])
+        return values
+
+    def surface(self, cap: int) -> CapSurface:
+        """How the codec visits a cap."""
+        return surface_of(self.receivers).cap(self.members[cap])
+
+    def in_surface_order(self, cap: int) -> tuple[NDArray[np.float32], CapSurface]:
+        """(n, K channels) coefficients of a cap in the order of coding, with its surface."""
+        surface = self.surface(cap)
+        return self.coefficients(cap)[np.searchsorted(self.members[cap], surface.order)], surface
+
+    @cached_property
+    def _starts(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """For each block, where each cap's receivers begin, and their coefficients."""
+        return {number: self._starts_of(block) for number, block in self.store}
+
+    def _starts_of(self, block: Block) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        sizes = np.bincount(self.index[block.vertices], minlength=len(self.widths))
+        return np.append(0, np.cumsum(sizes)), np.append(0, np.cumsum(sizes * self.widths))
 
     def _blocks(self) -> Iterator[Block]:
         """One after the other: together they may not fit in memory."""
         yield from (block for _, block in self.store)
         yield from self.overrides.values()
 
-    def members(self, c: int) -> NDArray[np.float32]:
-        """(n, K channels) coefficients of a cap, in the order of its members."""
-        members, width = self.clusters.members[c], int(self.widths[c])
-        values = np.zeros((members.size, width), dtype=np.float32)
-        for number, (vertices, coefficients) in self._starts.items():
-            if vertices[c + 1] > vertices[c]:
-                found, flat = self.store.part(
-                    number,
-                    slice(int(vertices[c]), int(vertices[c + 1])),
-                    slice(int(coefficients[c]), int(coefficients[c + 1])),
-                )
-                values[np.searchsorted(members, found)] = flat.reshape(found.size, width)
-        for block in self.overrides.values():
-            vertices, coefficients = self._starts_of(block)
-            found, flat = (
-                block.vertices[vertices[c] : vertices[c + 1]],
-                block.coefficients[coefficients[c] : coefficients[c + 1]],
-            )
-            values[np.searchsorted(members, found)] = flat.reshape(found.size, width)
-        return values
 
-    def along(self, c: int) -> tuple[NDArray[np.float32], CapSurface]:
-        """(n, K channels) coefficients of a cap in the order of coding, with its surface."""
-        members = self.clusters.members[c]
-        surface = surface_of(self.mesh).cap(members)
-        return self.members(c)[np.searchsorted(members, surface.order)], surface
+def _slices(starts: tuple[NDArray, NDArray], cap: int) -> tuple[slice, slice]:
+    first, second = (slice(int(start[cap]), int(start[cap + 1])) for start in starts)
+    return first, second

@@ -1,6 +1,6 @@
-"""Coefficients of a whole mesh between tracing and coding: in memory, or in a journal on disk.
+"""Coefficients of all receivers between tracing and coding: in memory, or in a journal on disk.
 
-Vertices come in blocks along the surface and are wanted cap by cap. A journal keeps each finished block with a
+Receivers come in blocks along the surface and are wanted cap by cap. A journal keeps each finished block with a
 checksum, so that work that was killed goes on where it was: blocks that are whole are kept, all others done again.
 """
 
@@ -30,25 +30,39 @@ log = logging.getLogger(__name__)
 _STALE_SECONDS = 14 * 24 * 3600.0
 
 _HEADER = struct.Struct("<4sIQQQI")  # mark, number of the block, vertices, coefficients, rays, checksum
-_MARK = b"BLK1"
+_MARK = b"BLK2"
+
+
+class BlockStatistics(NamedTuple):
+    """What is known of each receiver of a block, (n,) float32 each.
+
+    Attributes
+    ----------
+    blocked : part of the hemisphere, cosine-weighted
+    energy : squared norm of the (weighted) transfer vector
+    missed : squared norm of what the bases miss of it
+    """
+
+    blocked: NDArray[np.float32]
+    energy: NDArray[np.float32]
+    missed: NDArray[np.float32]
 
 
 class Block(NamedTuple):
-    """What a block of vertices became.
+    """What a block of receivers became.
 
     Attributes
     ----------
     vertices : (n,) int32, sorted by cap
-    figures : (n, 3) float32
-        Blocked part of the hemisphere, squared norm of the (weighted) transfer vector, and of what the bases miss.
+    statistics : BlockStatistics
     coefficients : (m,) float32
-        Of one vertex after the other, as many for each as its cap has.
+        Of one receiver after the other, as many for each as its cap has.
     rays : int
         Traced for it.
     """
 
     vertices: NDArray[np.int32]
-    figures: NDArray[np.float32]
+    statistics: BlockStatistics
     coefficients: NDArray[np.float32]
     rays: int
 
@@ -84,26 +98,20 @@ class MemoryStore:
 
 
 class Journal:
-    """Blocks in a file, which is opened by `journal`.
-
-    Attributes
-    ----------
-    found : int
-        Blocks that were there already.
-    """
+    """Blocks in a file, which is opened by `journal`."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
         self._places: dict[int, tuple[int, int]] = {}  # where each block's arrays begin, and its number of vertices
-        self.found = 0
         file.seek(0)
         ends = [0, *self._scan()]
-        self.found = len(ends) - 1
         file.seek(ends[-1])
         file.truncate()
 
     def add(self, number: int, block: Block) -> None:
-        content = b"".join(np.ascontiguousarray(array).tobytes() for array in block[:3])
+        content = b"".join(
+            np.ascontiguousarray(array).tobytes() for array in (block.vertices, *block.statistics, block.coefficients)
+        )
         sizes = block.vertices.size, block.coefficients.size
         try:
             self._file.seek(0, io.SEEK_END)
@@ -160,8 +168,8 @@ class Journal:
         if len(content) < 16 * count + 4 * size or zlib.crc32(content) != checksum:
             return None
         vertices = np.frombuffer(content, np.int32, count)
-        figures = np.frombuffer(content, np.float32, 3 * count, 4 * count).reshape(-1, 3)
-        return number, Block(vertices, figures, np.frombuffer(content, np.float32, size, 16 * count), rays)
+        statistics = BlockStatistics(*np.frombuffer(content, np.float32, 3 * count, 4 * count).reshape(3, -1))
+        return number, Block(vertices, statistics, np.frombuffer(content, np.float32, size, 16 * count), rays)
 
 
 @contextlib.contextmanager

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import operator
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -14,9 +12,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from slepian_prt.errors import UserError
-from slepian_prt.scene.mesh import Mesh
-from slepian_prt.scene.receivers import morton
+from slepian_prt.errors import UserError, check_integer
+from slepian_prt.scene.receivers import Receivers, morton
 from slepian_prt.sphere.caps import Cap, minimal_enclosing_cap
 from slepian_prt.sphere.quadrature import spherical_fibonacci
 
@@ -37,7 +34,7 @@ class Clusters:
     index : (V,) int32
         Cluster of each vertex.
     caps : tuple of Cap
-    kinds : (n,) int32
+    occlusion_classes : (n,) int32
         Which clusters share a second moment: classes of occlusion.
     sites : (n, 3) int16 or None
         If given, each vertex belongs to the site nearest to its normal, so that the index need not be stored.
@@ -45,12 +42,12 @@ class Clusters:
 
     index: NDArray[np.int32]
     caps: tuple[Cap, ...]
-    kinds: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    occlusion_classes: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     sites: NDArray[np.int16] | None = None
 
     def __post_init__(self) -> None:
-        if len(self.kinds) != len(self.caps):
-            object.__setattr__(self, "kinds", np.zeros(len(self.caps), dtype=np.int32))
+        if len(self.occlusion_classes) != len(self.caps):
+            object.__setattr__(self, "occlusion_classes", np.zeros(len(self.caps), dtype=np.int32))
 
     @cached_property
     def members(self) -> list[NDArray[np.int64]]:
@@ -62,13 +59,6 @@ class Clusters:
     def sizes(self) -> NDArray[np.int64]:
         """Number of vertices of each cluster."""
         return np.bincount(self.index, minlength=len(self.caps))
-
-    def thinned(self, members: Sequence[NDArray[np.int64]]) -> Clusters:
-        """The same with some of the members of each cluster only."""
-        found = replace(self)
-        found.__dict__["members"] = list(members)
-        found.__dict__["sizes"] = np.array([part.size for part in members])
-        return found
 
 
 def spread(center: NDArray, axes: NDArray) -> float:
@@ -102,13 +92,8 @@ def cluster_axes(axes: NDArray, count: int) -> Clusters:
     ValueError
         ``count`` is not a positive integer, or no vertex has an axis.
     """
-    try:
-        wanted = operator.index(count)
-    except TypeError:
-        raise UserError(f"clusters must be a positive integer, not {count!r}") from None
+    wanted = check_integer(count, "clusters", 1)
     lit = np.flatnonzero(np.any(axes != 0.0, axis=1))
-    if wanted < 1:
-        raise UserError(f"clusters must be a positive integer, not {count!r}")
     if lit.size == 0:
         raise UserError("normals must hold at least one that is not zero")
     unit = axes[lit]
@@ -139,40 +124,48 @@ def clusters_of_sites(sites: NDArray[np.int16], axes: NDArray) -> Clusters:
     return Clusters(index, _enclosing(index, len(sites), axes), sites=sites)
 
 
+def frames_of(clusters: Clusters) -> NDArray[np.float64]:
+    """(n, 3) axes of the frames that coded bases stand in: the sites, which files hold, or else the caps' centres."""
+    if clusters.sites is None:
+        return np.array([cap.center for cap in clusters.caps])
+    sites = clusters.sites.astype(np.float64)
+    return np.asarray(sites / np.linalg.norm(sites, axis=1, keepdims=True))
+
+
 def enclosed(index: NDArray[np.int32], count: int, axes: NDArray) -> Clusters:
     """The given partition into 0..count-1 with its caps."""
     return Clusters(index, _enclosing(index, count, axes))
 
 
-def cluster_surface(mesh: Mesh, axes: NDArray, count: int) -> Clusters:
+def cluster_surface(receivers: Receivers, axes: NDArray, count: int) -> Clusters:
     """Neighbourhoods on the surface: geodesic Voronoi cells, the paper's other choice (Sec. 4, exponential map).
 
     Seeds start evenly along a space-filling curve and move to the middle of their cells. Distances run along edges.
 
     Parameters
     ----------
-    mesh : Mesh
+    receivers : Receivers
     axes : (V, 3)
         Whose caps are taken.
     count : int >= 1
     """
     lit = np.flatnonzero(np.any(axes != 0.0, axis=1))
-    positions = mesh.positions[lit]
+    everywhere = receivers.positions
+    positions = everywhere[lit]
     along = np.argsort(morton(positions), kind="stable")
     seeds = lit[along[((np.arange(count) + 0.5) * lit.size / count).astype(np.int64)]]
-    a, b = (np.concatenate([mesh.faces[:, i] for i in order]) for order in ((0, 1, 2), (1, 2, 0)))
-    lengths = np.linalg.norm(mesh.positions[a] - mesh.positions[b], axis=1)
+    a, b = receivers.neighbours.T
+    lengths = np.linalg.norm(everywhere[a] - everywhere[b], axis=1)
     edges = csr_array((np.maximum(lengths, 1e-300), (a, b)), shape=(len(axes), len(axes)))
-    edges = edges.maximum(edges.T)  # an edge of two faces is one edge, not twice as long
     index = np.zeros(len(axes), dtype=np.int64)
     for iteration in range(_PATCH_ITERATIONS):
         seeds = np.unique(seeds)
         distance, _, source = dijkstra(edges, directed=False, indices=seeds, min_only=True, return_predecessors=True)
         index = np.searchsorted(seeds, np.maximum(source, seeds[0]))
         apart = ~np.isfinite(distance)  # pieces without a seed
-        index[apart] = cKDTree(mesh.positions[seeds]).query(mesh.positions[apart])[1]
+        index[apart] = cKDTree(everywhere[seeds]).query(everywhere[apart])[1]
         if iteration < _PATCH_ITERATIONS - 1:
-            seeds = _middles(mesh.positions, index, lit, len(seeds))
+            seeds = _middles(everywhere, index, lit, len(seeds))
     dark = np.ones(len(axes), dtype=bool)
     dark[lit] = False
     index[dark] = index[lit[0]]
@@ -194,18 +187,18 @@ def cluster_by_occlusion(axes: NDArray, openness: NDArray, classes: int, count: 
     """
     lit = np.flatnonzero(np.any(axes != 0.0, axis=1))
     edges = np.unique(np.quantile(openness[lit], np.linspace(0.0, 1.0, classes + 1)[1:-1]))
-    kind_of = np.searchsorted(edges, openness[lit], side="left")
-    found, kind_of = np.unique(kind_of, return_inverse=True)
+    class_of = np.searchsorted(edges, openness[lit], side="left")
+    found, class_of = np.unique(class_of, return_inverse=True)
     index = np.zeros(len(axes), dtype=np.int32)
     caps: list[Cap] = []
-    kinds: list[int] = []
-    for kind in range(found.size):
-        chosen = lit[kind_of == kind]
+    classes_of: list[int] = []
+    for number in range(found.size):
+        chosen = lit[class_of == number]
         part = cluster_axes(axes[chosen], count)
         index[chosen] = part.index + len(caps)
         caps += part.caps
-        kinds += [kind] * len(part.caps)
-    return Clusters(index, tuple(caps), np.array(kinds, dtype=np.int32))
+        classes_of += [number] * len(part.caps)
+    return Clusters(index, tuple(caps), np.array(classes_of, dtype=np.int32))
 
 
 def _middles(positions: NDArray, index: NDArray, lit: NDArray, count: int) -> NDArray[np.int64]:

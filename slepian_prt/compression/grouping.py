@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.receivers import Receivers
+from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.directions import SMALLEST_SET
-from slepian_prt.transport.transfer import PlannedScene, Transfer
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.planned import PlannedScene
+from slepian_prt.transport.transfer import Transfer
 
 
 class Grouping(NamedTuple):
@@ -29,27 +30,27 @@ class Grouping(NamedTuple):
     axes: NDArray[np.float64]
 
 
-def grouped(settings: CompressionSettings, transfer: Transfer) -> Grouping:
+def group_transfer(settings: CompressionSettings, transfer: Transfer) -> Grouping:
     """Clusters as asked, from vectors that are there."""
     first = transfer.vectors.mean(axis=1)
     open_part = first[:, 0] * np.float32(math.sqrt(4.0 * math.pi))
     axes = transfer.axes
     if settings.group_by == "bent":
         axes = bent_normals(first, axes)
-    return _cluster(settings, transfer.mesh, axes, open_part)
+    return _cluster(settings, transfer.mesh.receivers, axes, open_part)
 
 
-def surveyed(settings: CompressionSettings, planned: PlannedScene) -> Grouping:
+def group_scene(settings: CompressionSettings, planned: PlannedScene) -> Grouping:
     """Clusters as asked, before transfer is there: after a quick look around if that takes one."""
-    mesh = planned.scene.mesh
-    axes, openness = mesh.normals, np.ones(len(mesh.positions), dtype=np.float32)
+    receivers = planned.scene.mesh.receivers
+    axes, openness = receivers.normals, np.ones(len(receivers), dtype=np.float32)
     if settings.group_by == "bent" or settings.occlusion_classes > 1:
         quick = DirectTransfer(planned.scene, 1, SMALLEST_SET, planned.plan.shadowed, planned.settings.seed)
-        vectors, blocked = quick.of(np.arange(len(mesh.positions)))
-        openness = 1.0 - blocked
+        survey = quick.estimate()
+        openness = 1.0 - survey.blocked
         if settings.group_by == "bent":
-            axes = bent_normals(vectors, axes)
-    return _cluster(settings, mesh, axes, openness)
+            axes = bent_normals(survey.vectors[:, 0], axes)
+    return _cluster(settings, receivers, axes, openness)
 
 
 def bent_normals(vectors: NDArray, normals: NDArray) -> NDArray[np.float64]:
@@ -68,14 +69,14 @@ def bent_normals(vectors: NDArray, normals: NDArray) -> NDArray[np.float64]:
     )
 
 
-def _cluster(settings: CompressionSettings, mesh: Mesh, axes: NDArray, openness: NDArray) -> Grouping:
+def _cluster(settings: CompressionSettings, receivers: Receivers, axes: NDArray, openness: NDArray) -> Grouping:
     if settings.group_by == "surface":
-        clusters = cluster_surface(mesh, axes, settings.clusters)
+        clusters = cluster_surface(receivers, axes, settings.clusters)
     elif settings.occlusion_classes > 1:
         clusters = cluster_by_occlusion(axes, openness, settings.occlusion_classes, settings.clusters)
     else:
         clusters = cluster_axes(axes, 1 if settings.basis == "none" else settings.clusters)
-        if axes is not mesh.normals:
+        if axes is not receivers.normals:
             # Files hold normals, not other axes, from which the index could be told.
             clusters = replace(clusters, sites=None)
     return Grouping(clusters, axes)

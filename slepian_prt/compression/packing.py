@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.bases import LinearBasis
+from slepian_prt.compression.linear_basis import LinearBasis
 
 
 def pack_radial(bases: tuple[LinearBasis, ...]) -> dict[str, NDArray]:

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.slepian.kernels import SecondMoment, measured_moment, zonal_vectors
-from slepian_prt.sphere.harmonics import degrees, real_sh
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees, real_sh
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 
-# Vertices of each kind of cluster.
+# Vertices of each occlusion class.
 PILOT_SIZE = 400
 
 
@@ -36,26 +36,26 @@ class MeanTransfer:
 
     Attributes
     ----------
-    zonal : (kinds, L+1) float32
-        Zonal coefficients t_l for each kind of cluster, as of a kernel; of the first (decorrelated) channel.
+    zonal : (classes, L+1) float32
+        Zonal coefficients t_l for each occlusion class, as of a kernel; of the first (decorrelated) channel.
     """
 
     zonal: NDArray[np.float32]
 
-    def vectors(self, axes: NDArray, kind: int) -> NDArray[np.float32]:
+    def vectors(self, axes: NDArray, occlusion_class: int) -> NDArray[np.float32]:
         """(n, (L+1)²): t_l y_lm(axis); zero where the axis is."""
-        return zonal_vectors(self.zonal[kind], axes)
+        return zonal_vectors(self.zonal[occlusion_class], axes)
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """What the pilot's vertices tell, for each kind of cluster.
+    """What the pilot's vertices tell, for each occlusion class.
 
     Attributes
     ----------
     moments : tuple of SecondMoment
         Of transfer vectors in their own frames; of what `mean` leaves of them if there is one.
-    energies : (kinds, L+1)
+    energies : (classes, L+1)
         Mean squared norm of a transfer vector in each degree, over vertices and channels.
     mean : MeanTransfer or None
     """
@@ -66,12 +66,14 @@ class Pilot:
 
 
 def pilot_vertices(clusters: Clusters, axes: NDArray, seed: int) -> NDArray[np.int64]:
-    """Every n-th vertex in cluster order, for each kind of cluster: stratified over the axes."""
+    """Every n-th vertex in cluster order, for each occlusion class: stratified over the axes."""
     lit = np.any(axes != 0.0, axis=1)
     rng = np.random.default_rng(seed)
     chosen = []
-    for kind in np.unique(clusters.kinds):
-        in_order = np.concatenate([clusters.members[c] for c in np.flatnonzero(clusters.kinds == kind)])
+    for occlusion_class in np.unique(clusters.occlusion_classes):
+        in_order = np.concatenate(
+            [clusters.members[c] for c in np.flatnonzero(clusters.occlusion_classes == occlusion_class)]
+        )
         in_order = in_order[lit[in_order]]
         step = max(1, in_order.size // PILOT_SIZE)
         chosen.append(in_order[rng.integers(step) :: step])
@@ -94,12 +96,12 @@ def learn(
     normals : (V, 3), optional
         If given, the mean transfer about them is taken off first, because the decoder can add it again.
     """
-    bandlimit = round(np.sqrt(vectors.shape[2])) - 1
-    kinds = clusters.kinds[clusters.index[vertices]]
+    bandlimit = bandlimit_of(vectors.shape[2])
+    classes = clusters.occlusion_classes[clusters.index[vertices]]
     moments, energies, zonal = [], [], []
-    for kind in range(int(clusters.kinds.max()) + 1):
-        chosen = vertices[kinds == kind]
-        seen = vectors[kinds == kind].astype(np.float64)
+    for occlusion_class in range(int(clusters.occlusion_classes.max()) + 1):
+        chosen = vertices[classes == occlusion_class]
+        seen = vectors[classes == occlusion_class].astype(np.float64)
         squares = (seen.reshape(-1, seen.shape[2]) ** 2).mean(axis=0)
         energies.append(np.bincount(degrees(bandlimit), squares, minlength=bandlimit + 1))
         if normals is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.sphere.harmonics import degrees
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 
 
 @dataclass(frozen=True)
@@ -36,5 +36,5 @@ class Expectation:
 
 def by_degree(squares: NDArray) -> NDArray[np.float64]:
     """(L+1,) sums over the orders of each degree of ((L+1)²,) numbers."""
-    bandlimit = math.isqrt(squares.size) - 1
+    bandlimit = bandlimit_of(squares.size)
     return np.asarray(np.bincount(degrees(bandlimit), squares, minlength=bandlimit + 1), dtype=np.float64)

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.baselines import principal
-from slepian_prt.compression.bases import Candidate, LinearBasis
+from slepian_prt.compression.bases import Candidate
+from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.prediction import by_degree
+from slepian_prt.compression.principal_components import principal
 
 
 @dataclass(frozen=True)

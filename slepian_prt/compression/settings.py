@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from slepian_prt.compression import truncation
-from slepian_prt.compression.bases import ANALYTIC
+from slepian_prt.compression.bases import BASES
 from slepian_prt.compression.prediction import Expectation
-from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_terms
+from slepian_prt.errors import UserError, check_bandlimit, check_choice, check_epsilon, check_integer
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.sphere.harmonics import num_coefficients
-from slepian_prt.transport.transfer import LARGEST_BANDLIMIT
+from slepian_prt.transport.settings import LARGEST_BANDLIMIT
 
-BASES = (*ANALYTIC, "pca", "cpca")
 CODINGS = ("coded", "float16", "float32")
 GROUPINGS = ("normal", "bent", "surface")
 
@@ -75,19 +74,19 @@ class CompressionSettings:
         return self.basis == "none" or self.terms is not None or self.truncate is not None
 
     @property
-    def codes(self) -> str:
+    def resolved_coding(self) -> str:
         """The coding, default resolved."""
         return self.coding or ("float32" if self.by_number else "coded")
 
     @property
-    def asked(self) -> float:
+    def resolved_tolerance(self) -> float:
         """The tolerance, default resolved."""
         return DEFAULT_TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
     def needs_all_vectors(self) -> bool:
         """Whether bases are made from the vectors of the whole mesh."""
-        return self.basis in ("pca", "cpca")
+        return self.basis in BASES and BASES[self.basis].build is None
 
     def expected_error(self, expected: Expectation) -> float:
         """Of what the tolerance is about."""
@@ -99,49 +98,41 @@ class CompressionSettings:
         rules = {"tolerance": self.tolerance, "terms": self.terms, "truncate": self.truncate}
         given = [name for name, value in rules.items() if value is not None]
         if len(given) > 1:
-            raise UserError(f"only one of tolerance, terms and truncate may be given, not {' and '.join(given)}")
-        if self.basis not in (*BASES, "none"):
-            raise UserError(f"basis must be one of {', '.join((*BASES, 'none'))}, not {self.basis!r}")
+            raise UserError(f"only one of `tolerance`, `terms` and `truncate` may be given, not {' and '.join(given)}")
+        check_choice(self.basis, "basis", (*BASES, "none"))
         if self.basis == "none" and given:
-            raise UserError(f"basis none keeps all functions; leave out {given[0]}, or choose another basis")
+            raise UserError(f"basis none keeps all functions; leave out `{given[0]}`, or choose another basis")
         if self.terms is not None:
-            check_terms(self.terms, num_coefficients(bandlimit))
-        if self.truncate is not None and self.truncate not in truncation.TRUNCATIONS:
-            raise UserError(f"truncate must be one of {', '.join(truncation.TRUNCATIONS)}, not {self.truncate!r}")
-        if self.truncate is not None and self.needs_all_vectors:
-            raise UserError(f"truncate counts functions of a cap, which {self.basis} does not have; use terms")
+            check_integer(self.terms, "terms", 1, num_coefficients(bandlimit))
+        if self.truncate is not None:
+            check_choice(self.truncate, "truncate", truncation.TRUNCATIONS)
+            if self.needs_all_vectors:
+                raise UserError(f"`truncate` counts functions of a cap, which {self.basis} does not have; use `terms`")
         number = isinstance(self.tolerance, int | float | np.number) and not isinstance(self.tolerance, bool)
         if self.tolerance is not None and not (number and math.isfinite(self.tolerance) and self.tolerance > 0.0):
             raise UserError(f"tolerance must be a positive number, not {self.tolerance!r}")
         if self.epsilon is not None:
             check_epsilon(self.epsilon)
             if self.truncate is None:
-                raise UserError("epsilon says where truncate stops counting; give truncate too, or leave it out")
-        _check_whole(self.clusters, "clusters", LARGEST_CLUSTERS)
-        _check_whole(self.occlusion_classes, "occlusion_classes", LARGEST_CLASSES)
-        if self.group_by not in GROUPINGS:
-            raise UserError(f"group_by must be one of {', '.join(GROUPINGS)}, not {self.group_by!r}")
+                raise UserError("`epsilon` says where `truncate` stops counting; give `truncate` too, or leave it out")
+        check_integer(self.clusters, "clusters", 1, LARGEST_CLUSTERS)
+        check_integer(self.occlusion_classes, "occlusion_classes", 1, LARGEST_CLASSES)
+        check_choice(self.group_by, "group_by", GROUPINGS)
         if self.group_by == "bent" and bandlimit < 1:
             raise UserError(
-                "bent normals are the first degree of transfer; use bandlimit 1 or more, or group by normal"
+                "bent normals are the first degree of transfer; use `bandlimit` 1 or more, or group by normal"
             )
         if self.group_by == "surface" and self.occlusion_classes > 1:
-            raise UserError("occlusion_classes divide caps of axes; leave them out, or group by normal or bent")
-        if self.codes not in CODINGS:
-            raise UserError(f"coding must be one of {', '.join(CODINGS)}, not {self.coding!r}")
+            raise UserError("`occlusion_classes` divide caps of axes; leave them out, or group by normal or bent")
+        check_choice(self.resolved_coding, "coding", CODINGS)
         if self.light_prior is not None:
             if not isinstance(self.light_prior, LightPrior):
                 raise UserError(f"light_prior must come from falling_prior or measured_prior, not {self.light_prior!r}")
             if self.needs_all_vectors or self.basis == "none":
-                raise UserError(f"a light prior has no effect on basis {self.basis}; leave it out")
+                raise UserError(f"`light_prior` has no effect on basis {self.basis}; leave it out")
             if len(self.light_prior.weights) != bandlimit + 1:
                 raise UserError(
                     f"light_prior must be made for bandlimit {bandlimit}, not {len(self.light_prior.weights) - 1}"
                 )
         if self.refine and (self.needs_all_vectors or self.basis == "none"):
-            raise UserError(f"refine has no effect on basis {self.basis}; leave it out")
-
-
-def _check_whole(value: object, name: str, largest: int) -> None:
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= largest:
-        raise UserError(f"{name} must be an integer in [1, {largest}], not {value!r}")
+            raise UserError(f"`refine` has no effect on basis {self.basis}; leave it out")

@@ -1,7 +1,7 @@
-"""From transfer vectors to a file: bases first, then block after block of vertices, then cap after cap.
+"""From transfer vectors to compressed transfer: bases first, then block after block of receivers, then cap after cap.
 
-Bases are made from a pilot, before the vectors are there. So each block of vertices is traced, projected and forgotten,
-and the vectors of the whole mesh are never held; what is kept are the coefficients.
+Bases are made from a pilot, before the vectors are there. So each block of receivers is traced, projected and
+forgotten, and the vectors of all are never held; what is kept are the coefficients.
 """
 
 from __future__ import annotations
@@ -9,39 +9,46 @@ from __future__ import annotations
 import hashlib
 import logging
 import time
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slepian_prt.compression.baselines import iterate_clusters, pca_candidates
-from slepian_prt.compression.checkpoint import Block, Journal, MemoryStore, Store, journal
+from slepian_prt.compression import decoder
+from slepian_prt.compression.blocks import CapBlocks
+from slepian_prt.compression.checkpoint import Block, MemoryStore, Store, journal
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.encoder import Encoder
-from slepian_prt.compression.grouping import Grouping, grouped, surveyed
+from slepian_prt.compression.encoder import WarmStart, encode
+from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer
+from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_bases, pilot_of
+from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
+from slepian_prt.compression.projection import Projection, choose_projection, widen
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.interior import borrow
-from slepian_prt.transport.transfer import PlannedScene, Transfer, TransportSettings
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.transport.estimator import Estimator, TransferBlock
+from slepian_prt.transport.interior import find_interior
+from slepian_prt.transport.planned import PlannedScene, plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 log = logging.getLogger(__name__)
 
-# Vertices that are projected at a time when their vectors are there.
+# Receivers that are projected at a time when their vectors are there.
 _BLOCK = 1 << 14
 
-# Terms that clusters of PCA are iterated for when their number is not given.
-USUAL_TERMS = 16
+Report = Callable[[str], None]
+Advance = Callable[[int, int], None]
 
-Tell = Callable[[str], None]
-Review = Callable[[CompressedTransfer], float | None]
+
+def _silent(*_: object) -> None:
+    """Reports to nobody."""
 
 
 def compress(
@@ -49,7 +56,7 @@ def compress(
     basis: str = "adapted",
     *,
     clusters: int | Clusters | Grouping | None = None,
-    report: Tell = lambda _: None,
+    report: Report = _silent,
     **options: Any,
 ) -> CompressedTransfer:
     """Cluster, project, truncate and code transfer vectors.
@@ -67,84 +74,86 @@ def compress(
 
     Raises
     ------
-    ValueError
+    UserError
         An unknown name, a number outside its range, or options that exclude each other.
     """
     if isinstance(clusters, Clusters):
         clusters = Grouping(clusters, transfer.axes)
-    if not isinstance(clusters, Grouping) and clusters is not None:
+    grouping = clusters if isinstance(clusters, Grouping) else None
+    if clusters is not None and grouping is None:
         options["clusters"] = clusters
     settings = CompressionSettings(basis=basis, **options)
     settings.check(transfer.bandlimit)
     started = time.perf_counter()
-    grouping = clusters if isinstance(clusters, Grouping) else grouped(settings, transfer)
+    grouping = grouping or group_transfer(settings, transfer)
+    report(f"basis {basis}")
+    projected = project_transfer(transfer, _learn_from(transfer, settings, grouping, report))
+    report("coding")
+    return encode_transfer(transfer, projected, started)
+
+
+def _learn_from(transfer: Transfer, settings: CompressionSettings, grouping: Grouping, report: Report) -> LearnedBases:
+    """Bases from a pilot of vectors that are there, or from all of them."""
+    receivers, bandlimit, seed = transfer.mesh.receivers, transfer.bandlimit, transfer.seed
+    if not settings.needs_all_vectors:
+        vectors = transfer.vectors[pilot_of(grouping, seed)]
+        toward = transfer.toward_view
+        return learn_bases(settings, receivers, grouping, bandlimit, seed, vectors, toward_view=toward)
     if settings.basis == "cpca":
         terms = settings.terms or USUAL_TERMS
         iterated = iterate_clusters(grouping.clusters, transfer.axes, transfer.vectors, terms, report)
         grouping = Grouping(iterated, transfer.axes)
-    work = Encoder(
-        settings,
-        transfer.mesh,
-        grouping,
-        transfer.bandlimit,
-        transfer.seed,
-        toward_view=transfer.toward_view,
-    )
-    if settings.needs_all_vectors:
-        candidates = pca_candidates(transfer.bandlimit, grouping.clusters, transfer.vectors)
-        work.use(candidates, transfer.vectors.shape[1])
-    else:
-        report(f"basis {basis}")
-        work.learn(lambda vertices: transfer.vectors[vertices])
-    return compressed(transfer, work, report, started)
+    return fit_bases(settings, receivers, grouping, bandlimit, seed, transfer.vectors)
 
 
-def compressed(
-    transfer: Transfer, work: Encoder, report: Tell, started: float, review: Review = lambda _: None
-) -> CompressedTransfer:
-    """Project and code vectors that are there, with bases that are learnt.
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """All receivers, projected on bases that hold enough of them.
 
-    ``started`` is when compression began, by `time.perf_counter`; ``review`` as of `streamed`.
+    Attributes
+    ----------
+    projection : Projection
+    blocks : CapBlocks
+    rays : int
+        Traced for it.
     """
-    store = projected(transfer, work)
-    report("coding")
-    return _reviewed(partial(finished, transfer, work, store, started), work, review, report)
+
+    projection: Projection
+    blocks: CapBlocks
+    rays: int = 0
 
 
-def _reviewed(
-    code: Callable[[], CompressedTransfer], work: Encoder, review: Review, report: Tell
-) -> CompressedTransfer:
-    """Code until a review is content."""
-    packed = code()
-    while (finer := review(packed)) is not None:
-        report(f"coding once more, tolerance {finer:.3g}")
-        assert packed.coded is not None
-        work.refine_to(finer, packed.coded.tuning)
-        packed = code()
-    return packed
-
-
-def projected(transfer: Transfer, work: Encoder) -> MemoryStore:
-    """Blocks of vectors that are there, on bases that hold enough of them."""
-    while True:
+def project_transfer(transfer: Transfer, learned: LearnedBases) -> Projected:
+    """Project vectors that are there."""
+    projection: Projection | None = choose_projection(learned)
+    while projection is not None:
         store = MemoryStore()
         for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
             vertices = np.arange(begin, min(begin + _BLOCK, len(transfer.vectors)))
-            store.add(number, work.block(vertices, transfer.vectors[vertices], np.zeros(vertices.size), 0))
-        if not work.widened(store, {}):
-            return store
+            unknown = np.zeros(vertices.size, dtype=np.float32)
+            block = TransferBlock(vertices, transfer.vectors[vertices], unknown, 0)
+            store.add(number, projection.block(block))
+        projected = Projected(projection, projection.caps(store))
+        projection = widen(projection, projected.blocks)
+    return projected
 
 
-def finished(transfer: Transfer, work: Encoder, store: MemoryStore, started: float) -> CompressedTransfer:
-    """Code what was projected."""
-    result = work.finish(store, {})
+def encode_transfer(
+    transfer: Transfer,
+    projected: Projected,
+    started: float,
+    *,
+    warm_start: WarmStart | None = None,
+    keep_decoded: bool = False,
+) -> CompressedTransfer:
+    """Encode what was projected of vectors that are there; compression ``started`` then, by `time.perf_counter`."""
+    encoding = encode(projected.projection, projected.blocks, warm_start=warm_start, keep_decoded=keep_decoded)
     own = transfer.environment
-    packed = CompressedTransfer(
-        **result,
+    return _assemble(
+        encoding,
         mesh=transfer.mesh,
         parts=transfer.parts,
         bandlimit=transfer.bandlimit,
-        clusters=work.clusters,
         effects=transfer.effects,
         bounces=transfer.bounces,
         samples=transfer.samples,
@@ -156,7 +165,6 @@ def finished(transfer: Transfer, work: Encoder, store: MemoryStore, started: flo
         view=transfer.view,
         toward_view=transfer.toward_view,
     )
-    return packed.knowing(work.decoded) if work.decoded else packed
 
 
 def precompute_compressed(
@@ -164,14 +172,14 @@ def precompute_compressed(
     settings: CompressionSettings,
     transport: TransportSettings,
     *,
-    on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
-    advance: Callable[[int, int], None] = lambda _done, _total: None,
-    report: Tell = lambda _: None,
+    on_plan: Callable[[tuple[Effect, ...]], None] = _silent,
+    advance: Advance = _silent,
+    report: Report = _silent,
 ) -> CompressedTransfer:
     """Transfer of a scene, compressed as it is traced.
 
     Work that is killed goes on from its finished blocks when it is started again with the same arguments. Vectors are
-    held all at once only where vertices depend on each other (interreflection), toward a view, and for bases that must
+    held all at once only where receivers depend on each other (interreflection), toward a view, and for bases that must
     see them all.
 
     Parameters
@@ -188,134 +196,130 @@ def precompute_compressed(
     UserError
     """
     settings.check(int(transport.bandlimit))
-    with transport.opened(scene, on_plan) as planned:
+    with plan_scene(scene, transport, on_plan) as planned:
         if not planned.by_blocks or settings.needs_all_vectors:
-            transfer = planned.transfer(advance)
+            transfer = compute_transfer(planned, advance)
             return compress(transfer, report=report, **vars(settings))
-        source, grouping = planned.direct(), surveyed(settings, planned)
-        work = Encoder(settings, planned.scene.mesh, grouping, int(transport.bandlimit), transport.seed)
-        work.learn(lambda vertices: source.of(vertices)[0][:, None, :])
-        return streamed(planned, source, work, advance, report)
+        source, grouping = planned.estimator(), group_scene(settings, planned)
+        seed, receivers = transport.seed, planned.scene.mesh.receivers
+        vectors = source.estimate(pilot_of(grouping, seed)).vectors
+        learned = learn_bases(settings, receivers, grouping, int(transport.bandlimit), seed, vectors)
+        with trace_and_project(planned, source, learned, advance) as projected:
+            report("coding")
+            return encode_planned(planned, projected)
 
 
-def streamed(
-    planned: PlannedScene,
-    source: DirectTransfer,
-    work: Encoder,
-    advance: Callable[[int, int], None],
-    report: Tell,
-    review: Review = lambda _: None,
-) -> CompressedTransfer:
-    """Trace and project block after block, then code.
+@contextmanager
+def trace_and_project(
+    planned: PlannedScene, source: Estimator[Any], learned: LearnedBases, advance: Advance = _silent
+) -> Iterator[Projected]:
+    """Trace and project block after block; blocks are on disk, and gone when the with-block ends well.
 
     Parameters
     ----------
     planned : PlannedScene
         That does `by_blocks`.
-    source : DirectTransfer
+    source : Estimator
         Of ``planned``.
-    work : Encoder
-        With its bases learnt.
-    advance, report : as of `precompute_compressed`
-    review : callable
-        Given what was coded; answers with a finer tolerance to code again with, or None.
+    learned : LearnedBases
+    advance : as of `precompute`
     """
-    of_pilot = source.rays
+    rays = source.rays
+    projection = choose_projection(learned)
     while True:
-        with journal(_fingerprint(planned, work)) as store:
-            _trace(planned, source, work, store, advance)
-            overrides = _borrowed(planned, source, work, store)
-            if not work.widened(store, overrides):
+        with journal(_fingerprint(planned, projection)) as store:
+            _trace(planned, source, projection, store, advance)
+            blocks = projection.caps(store, _project_interior(planned, source, projection, store))
+            wider = widen(projection, blocks)
+            if wider is None:
                 planned.clock.stop("transport")
-                report("coding")
-                rays = of_pilot + sum(block.rays for _, block in store)
-                code = partial(_finished, planned, work, store, overrides, rays)
-                return _reviewed(code, work, review, report)
-        log.info("the pilot foresaw too little error; once more with %d functions of each cap", work.bases[0].count)
+                yield Projected(projection, blocks, rays + sum(block.rays for _, block in store))
+                return
+        projection = wider
+        log.info("the pilot foresaw too little error; once more with %d functions of each cap", wider.bases[0].count)
 
 
-def _finished(
-    planned: PlannedScene, work: Encoder, store: Store, overrides: dict[int, Block], rays: int
+def encode_planned(
+    planned: PlannedScene, projected: Projected, *, warm_start: WarmStart | None = None, keep_decoded: bool = False
 ) -> CompressedTransfer:
-    """Code what was traced."""
+    """Encode what was traced and projected."""
     begin = time.perf_counter()
-    result = work.finish(store, overrides)
-    seconds = planned.clock.seconds
+    encoding = encode(projected.projection, projected.blocks, warm_start=warm_start, keep_decoded=keep_decoded)
+    seconds, scene, bandlimit = planned.clock.seconds, planned.scene, projected.projection.learned.bandlimit
     seconds["compress"] = seconds.get("compress", 0.0) + time.perf_counter() - begin
-    own = planned.scene.environment
-    packed = CompressedTransfer(
-        **result,
-        mesh=planned.scene.mesh,
-        parts=planned.scene.parts,
-        bandlimit=work.bandlimit,
-        clusters=work.clusters,
+    return _assemble(
+        encoding,
+        mesh=scene.mesh,
+        parts=scene.parts,
+        bandlimit=bandlimit,
         effects=planned.plan.effects,
         bounces=0,
         samples=int(planned.settings.samples),
         seed=planned.settings.seed,
-        rays_traced=rays,
+        rays_traced=projected.rays,
         seconds=seconds,
-        source=planned.scene.path,
-        lighting=None if own is None else project_environment(own, work.bandlimit),
-        view=planned.scene.view,
+        source=scene.path,
+        lighting=None if scene.environment is None else project_environment(scene.environment, bandlimit),
+        view=scene.view,
     )
-    return packed.knowing(work.decoded) if work.decoded else packed
+
+
+def _assemble(encoding: Any, **about: Any) -> CompressedTransfer:
+    fields = dict(vars(encoding))
+    decoded = fields.pop("decoded")
+    packed = CompressedTransfer(**fields, **about)
+    if decoded:
+        decoder.remember(packed, decoded)
+    return packed
 
 
 def _trace(
-    planned: PlannedScene, source: DirectTransfer, work: Encoder, store: Journal, advance: Callable[[int, int], None]
+    planned: PlannedScene, source: Estimator[Any], projection: Projection, store: Store, advance: Advance
 ) -> None:
-    """Trace and project all blocks that are not in the journal already."""
-    blocks, count = source.blocks, len(planned.scene.mesh.positions)
+    """Trace and project all blocks that are not in the store already."""
+    pieces, count = source.pieces(), len(planned.scene.receivers)
     done = {number for number, _ in store}
-    left = [number for number in range(len(blocks)) if number not in done]
+    left = [number for number in range(len(pieces)) if number not in done]
     if done:
-        log.info("%d of %d blocks were finished before and are kept", len(done), len(blocks))
-        advance(sum(blocks[number].size for number in done), count)
-
-    def deliver(place: int, vertices: NDArray, vectors: NDArray, blocked: NDArray, rays: int) -> None:
-        store.add(left[place], work.block(vertices, vectors[:, None, :], blocked, rays))
-
-    source.run([blocks[number] for number in left], deliver, lambda n: advance(n, count))
+        log.info("%d of %d blocks were finished before and are kept", len(done), len(pieces))
+        advance(sum(pieces[number].size for number in done), count)
+    for number, block in zip(left, source.blocks([pieces[number] for number in left], projection.block), strict=True):
+        store.add(number, block)
+        advance(block.vertices.size, count)
 
 
-def _borrowed(planned: PlannedScene, source: DirectTransfer, work: Encoder, store: Store) -> dict[int, Block]:
-    """Blocks of the vertices inside other geometry, whose transfer is that of their neighbours."""
-    dark = [block.vertices[block.figures[:, 0] >= 1.0] for _, block in store]
-    receivers = planned.scene.mesh.receivers.active
-    found = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *dark]))
-    borrowed = borrow(planned.scene, found[receivers[found]].astype(np.int64))
+def _project_interior(
+    planned: PlannedScene, source: Estimator[Any], projection: Projection, store: Store
+) -> dict[int, Block]:
+    """Blocks of the receivers inside other geometry, whose transfer is that of their neighbours."""
+    dark = [block.vertices[block.statistics.blocked >= 1.0] for _, block in store]
+    found = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *dark]))
+    interior = find_interior(planned.scene, found[planned.scene.receivers.active[found]])
     overrides = {}
-    for number, begin in enumerate(range(0, borrowed.rows.size, _BLOCK)):
-        rows = borrowed.rows[begin : begin + _BLOCK]
-        weights = borrowed.weights[begin : begin + _BLOCK]
-        lenders = np.unique(weights.indices)
-        vectors = weights[:, lenders] @ source.of(lenders)[0]
-        overrides[number] = work.block(rows, vectors[:, None, :].astype(np.float32), np.ones(rows.size), 0)
+    for number, begin in enumerate(range(0, interior.vertices.size, _BLOCK)):
+        rows = slice(begin, begin + _BLOCK)
+        vertices, weights = interior.vertices[rows], interior.weights[rows]
+        visible = np.unique(weights.indices)
+        vectors = (weights[:, visible] @ source.estimate(visible).vectors[:, 0]).astype(np.float32)
+        block = TransferBlock(vertices, vectors[:, None, :], np.ones(vertices.size, dtype=np.float32), 0)
+        overrides[number] = projection.block(block)
     return overrides
 
 
-def _fingerprint(planned: PlannedScene, work: Encoder) -> str:
+def _fingerprint(planned: PlannedScene, projection: Projection) -> str:
     """Of everything that blocks of coefficients depend on."""
     digest = hashlib.sha256()
-    scene, transport, plan = planned.scene, planned.settings, planned.plan
-    digest.update(
-        repr((version("slepian_prt"), scene.mi.variant(), transport.bandlimit, transport.seed, plan.nodes)).encode()
-    )
-    arrays = [
-        scene.mesh.positions,
-        scene.mesh.normals,
-        scene.mesh.faces,
-        plan.shadowed,
-        scene.origin,
-        scene.ray_origins,
-    ]
+    scene, settings, plan, learned = planned.scene, planned.settings, planned.plan, projection.learned
+    numbers = (version("slepian_prt"), scene.mi.variant(), settings.bandlimit, settings.seed, plan.nodes)
+    digest.update(repr(numbers).encode())
+    mesh = scene.mesh
+    arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_origins]
     for shape in scene.shapes:
         box = shape.bbox()
         arrays += [np.array(box.min), np.array(box.max), np.array([shape.surface_area()], dtype=np.float64)]
-    arrays += [work.clusters.index, *(basis.analysis for basis in work.bases)]
-    if work.pilot is not None and work.pilot.mean is not None:
-        arrays.append(work.pilot.mean.zonal)
+    arrays += [learned.clusters.index, *(basis.analysis for basis in projection.bases)]
+    if learned.pilot is not None and learned.pilot.mean is not None:
+        arrays.append(learned.pilot.mean.zonal)
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:32]

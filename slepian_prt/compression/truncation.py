@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,20 +23,20 @@ def tails(candidate: Candidate) -> NDArray[np.float64]:
     return np.concatenate([np.cumsum(candidate.energies[::-1])[::-1], [0.0]]) + beyond
 
 
-def predicted_error(candidates: list[Candidate], terms: NDArray, sizes: NDArray) -> float:
+def predicted_error(candidates: Sequence[Candidate], terms: NDArray, sizes: NDArray) -> float:
     """Expected relative RMS error of the transfer vectors, caps weighted by their numbers of vertices."""
     total = sum(size * c.total for c, size in zip(candidates, sizes, strict=True))
     lost = sum(size * tails(c)[k] for c, k, size in zip(candidates, terms, sizes, strict=True))
     return math.sqrt(lost / total) if total > 0.0 else 0.0
 
 
-def by_terms(candidates: list[Candidate], wanted: int) -> NDArray[np.int64]:
+def by_terms(candidates: Sequence[Candidate], wanted: int) -> NDArray[np.int64]:
     """The same number in every cap, or all there are."""
     return np.array([min(wanted, c.energies.size) for c in candidates])
 
 
 def by_shannon(
-    candidates: list[Candidate], caps: tuple[Cap, ...], bandlimit: int, rule: str, epsilon: float
+    candidates: Sequence[Candidate], caps: tuple[Cap, ...], bandlimit: int, rule: str, epsilon: float
 ) -> NDArray[np.int64]:
     """The cap's Shannon number: ``n_g`` of the paper, ``n_ref``, or the exact ``count`` of concentrations above ε."""
     numbers = {
@@ -47,7 +48,7 @@ def by_shannon(
     return np.array([min(k, c.energies.size) for k, c in zip(wanted, candidates, strict=True)])
 
 
-def by_tolerance(candidates: list[Candidate], sizes: NDArray, tolerance: float) -> NDArray[np.int64]:
+def by_tolerance(candidates: Sequence[Candidate], sizes: NDArray, tolerance: float) -> NDArray[np.int64]:
     """Fewest coefficients whose predicted error over all caps together is at most ``tolerance``.
 
     A coefficient costs the same in every cap per vertex, and so saves most where the energy along its function is

@@ -1,46 +1,72 @@
-"""Bases side by side: error, bytes and seconds, against full SH and against path-traced references."""
+"""Methods side by side: error, bytes and seconds, against full SH and against path-traced references."""
 
 from __future__ import annotations
 
 import math
-import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.grouping import grouped
+from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.errors import UserError, check_terms
-from slepian_prt.evaluation.ladder import Rung, Stage, ladder
-from slepian_prt.evaluation.methods import DEFAULT_METHODS, Entry, check_methods, entries
+from slepian_prt.errors import UserError, check_integer
+from slepian_prt.evaluation.ladder import NO_BANDLIMIT, Stage, StageError, measure_stages
+from slepian_prt.evaluation.lights import check_lights, lights_of
+from slepian_prt.evaluation.methods import DEFAULT_METHODS, MethodRun, Workload, check_methods, run_methods
 from slepian_prt.evaluation.metrics import relative_rms, seam
+from slepian_prt.evaluation.provenance import versions
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
-from slepian_prt.relighting.pictures import Camera, Picture, trace_camera
-from slepian_prt.relighting.relight import negative_part, relight
-from slepian_prt.scene.loading import open_scene
+from slepian_prt.relighting.camera import Camera, trace_camera
+from slepian_prt.relighting.pictures import Picture
+from slepian_prt.relighting.relight import negative_fraction, relight
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.transfer import Transfer, TransportSettings
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 DEFAULT_TERMS = (4, 9, 16, 25, 36)
 
-Status = Callable[[str], None]
+# Pictures are shown of the number of functions nearest to this.
+_PICTURED_TERMS = 16
+
+_LARGEST_TERMS = 1 << 20
+_RELIGHT_RUNS = 3
+
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Method:
-    """One basis with one number of terms; the fields of ``methods`` in results.json.
+class MethodResult:
+    """What one method with one setting costs and loses; the fields of ``methods`` in results.json.
 
-    The two seams are those of `errors.seam`, over all environments.
+    Attributes
+    ----------
+    basis, coding : str
+    terms : float
+        Mean number of functions.
+    bytes_per_vertex : float
+    transfer_error : float
+        Relative RMS error of the transfer vectors.
+    predicted_error : float or None
+        The same as compression foresaw it, of methods that do.
+    relit_error : dict of str to float
+        For each environment, relative RMS error of radiance at the vertices against full SH.
+    predicted_relit_error : dict of str to float
+        The same as compression foresaw it, averaged over the rotations of the map.
+    image_error : dict of str to float
+        For each environment, relative RMS error of the picture against the path-traced reference.
+    seam_across, seam_within : float or None
+        Jumps of the error along edges between caps and within them, see `metrics.seam`; means over the environments.
+    compress_seconds, relight_seconds : float
     """
 
     basis: str
@@ -58,11 +84,28 @@ class Method:
     relight_seconds: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
-    """The pictures of one environment."""
+    """One environment: its light, the references under it, and pictures from one camera.
+
+    Attributes
+    ----------
+    environment : Environment
+    lighting : (3, (L+1)²)
+    radiance : (V, 3)
+        Of full SH.
+    reference : ReferencePicture
+        Path-traced, without what transfer knows no light of.
+    vertices : ReferenceVertices
+    interpolated, full : Picture
+        Of ``vertices``, and of full SH.
+    compressed : dict of str to Picture
+        Of each method.
+    """
 
     environment: Environment
+    lighting: NDArray[np.float64]
+    radiance: NDArray[np.float32]
     reference: ReferencePicture
     vertices: ReferenceVertices
     interpolated: Picture
@@ -70,23 +113,44 @@ class View:
     compressed: dict[str, Picture] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Comparison:
-    """Everything that the report shows."""
+    """Everything that the report shows.
+
+    Attributes
+    ----------
+    transfer : Transfer
+    grouping : CompressionSettings
+        Of which only the grouping counts.
+    clusters : int
+        Number of caps.
+    half_angles : (float, float)
+        Of the narrowest and the widest cap, radians.
+    methods : tuple of MethodResult
+    ladder : tuple of StageError
+    views : tuple of View
+        One for each environment.
+    pictured_terms : int
+        Number of functions of the compressed pictures.
+    negative : dict of str to float
+        For each environment, the part of the vertices that full SH makes negative.
+    seconds : float
+        That the whole comparison took.
+    """
 
     transfer: Transfer
     grouping: CompressionSettings
     clusters: int
     half_angles: tuple[float, float]
-    methods: tuple[Method, ...]
-    ladder: tuple[Rung, ...]
+    methods: tuple[MethodResult, ...]
+    ladder: tuple[StageError, ...]
     views: tuple[View, ...]
-    shown_terms: int
+    pictured_terms: int
     negative: dict[str, float]
     seconds: float
 
     def results(self) -> dict[str, Any]:
-        """What results.json holds (DESIGN: stable names)."""
+        """What results.json holds; its names are stable."""
         return {
             "scene": self.transfer.source,
             "vertices": len(self.transfer.positions),
@@ -98,7 +162,7 @@ class Comparison:
             "occlusion_classes": self.grouping.occlusion_classes,
             "environments": [view.environment.name for view in self.views],
             "methods": [asdict(method) for method in self.methods],
-            "ladder": [asdict(rung) for rung in self.ladder],
+            "ladder": [asdict(error) for error in self.ladder],
             "references": {
                 view.environment.name: {
                     "noise": view.reference.noise,
@@ -116,16 +180,6 @@ class Comparison:
         }
 
 
-def versions() -> dict[str, str]:
-    """Versions of what a result depends on."""
-    packages = ("mitsuba", "drjit", "numpy", "scipy")
-    return {
-        "slepian_prt": version("slepian_prt"),
-        **{name: version(name) for name in packages},
-        "python": platform.python_version(),
-    }
-
-
 def compare(
     scene: str | Path,
     environments: Sequence[Environment],
@@ -136,7 +190,7 @@ def compare(
     terms: Sequence[int] = DEFAULT_TERMS,
     width: int | None = None,
     noise: float = 0.01,
-    report: Status = lambda _: None,
+    report: Report = lambda _: None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Comparison:
@@ -146,76 +200,67 @@ def compare(
     ----------
     scene : path
     environments : maps; without any, the light of a Mitsuba scene itself
-    transport : what is asked of transport
+    transport : TransportSettings
     grouping : what is grouped into caps; the rest of it does not count
     methods, terms : every method is tried with every number of terms that the bandlimit allows
-    on_plan : as of `precompute`
     width : of the pictures
     noise : wanted relative RMS noise of the path-traced references
-    report : told what begins
-    advance : as in `precompute`
+    report : given the name of each step as it begins
+    on_plan, advance : as of `precompute`
 
     Raises
     ------
     UserError, ValueError
     """
-    if not environments and Path(scene).suffix.lower() != ".xml":
-        raise UserError("no light: name a map with --environment (only a Mitsuba .xml scene may have its own)")
+    check_lights(scene, environments)
     if not (math.isfinite(noise) and noise > 0.0):
         raise UserError(f"noise must be a positive number, not {noise!r}")
-    transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
     check_methods(methods)
-    bandlimit = int(transport.bandlimit)
-    size = num_coefficients(bandlimit)
-    for k in terms:
-        check_terms(k, 1 << 20)
-    wanted = sorted({k for k in terms if k <= size}) or [size]
+    transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
+    terms = _possible_terms(terms, int(transport.bandlimit))
     started = time.perf_counter()
-    report("transport")
-    with transport.opened(scene, on_plan) as planned:
-        transfer = planned.transfer(advance)
-    if not environments:
-        if transfer.environment is None:
-            raise UserError(f"{scene}: the scene has no distant light of its own; name a map with --environment")
-        environments = [transfer.environment]
-    made = grouped(grouping, transfer)
-    clusters = made.clusters
-    lighting = [project_environment(environment, bandlimit) for environment in environments]
-    full = [relight(transfer, light) for light in lighting]
-    with open_scene(scene, albedo=transport.albedo, view=transport.view) as opened:
+    with plan_scene(scene, transport, on_plan) as planned:
+        environments = lights_of(planned.scene, environments)
+        report("transport")
+        transfer = compute_transfer(planned, advance)
         report("camera")
-        camera = trace_camera(opened, width)
-        views = [
-            _view(opened, transfer, environment, camera, radiance, width, noise, report)
-            for environment, radiance in zip(environments, full, strict=True)
-        ]
-    shown = min(wanted, key=lambda k: abs(k - 16))
-    seen = _Seen(transfer, lighting, full, views, camera)
-    measured = []
-    lossy: dict[str, tuple[str, Entry]] = {}
-    for entry in entries(transfer, made, methods, wanted, lighting, report):
-        measured.append(seen.measured(entry))
-        if entry.method == methods[0] and (entry.asked == shown or entry.coding == "coded"):
-            # Of the coded ones the last, which is the most exact.
-            title = f"{entry.method}, {entry.terms:.3g} functions" + (", coded" if entry.coding == "coded" else "")
-            lossy[entry.coding] = (title, entry)
-        if entry.asked == shown:
-            seen.keep_pictures(entry)
+        camera = trace_camera(planned.scene, width)
+        views = [_view(planned.scene, transfer, light, camera, width, noise, report) for light in environments]
+    groups = group_transfer(grouping, transfer)
+    work = Workload(transfer, groups, [view.lighting for view in views], terms, report)
+    pictured_terms = min(terms, key=lambda k: abs(k - _PICTURED_TERMS))
+    results: list[MethodResult] = []
+    lossy: dict[str, MethodRun] = {}  # of the first method, by coding: what the ladder ends with
+    for run in run_methods(methods, work):
+        results.append(_measure(run, transfer, views, camera))
+        pictured = run.wanted_terms == pictured_terms
+        if run.method == methods[0] and (pictured or run.coding == "coded"):
+            lossy[run.coding] = run  # of the coded ones the last, which is the most exact
+        if pictured:
+            views = [_with_picture(view, run, camera) for view in views]
     report("ladder")
-    rungs = seen.rungs(list(lossy.values()))
-    angles = [cap.half_angle for cap in clusters.caps]
+    ladder = [error for view in views for error in _measure_ladder(view, transfer, camera, lossy.values())]
+    angles = [cap.half_angle for cap in groups.clusters.caps]
     return Comparison(
         transfer,
         grouping,
-        len(clusters.caps),
+        len(angles),
         (min(angles), max(angles)),
-        tuple(measured),
-        tuple(rungs),
+        tuple(results),
+        tuple(ladder),
         tuple(views),
-        shown,
-        {e.name: negative_part(radiance) for e, radiance in zip(environments, full, strict=True)},
+        pictured_terms,
+        {view.environment.name: negative_fraction(view.radiance) for view in views},
         time.perf_counter() - started,
     )
+
+
+def _possible_terms(terms: Sequence[int], bandlimit: int) -> list[int]:
+    """Those numbers of functions that the bandlimit has, or else all functions."""
+    size = num_coefficients(bandlimit)
+    for k in terms:
+        check_integer(k, "terms", 1, _LARGEST_TERMS)
+    return sorted({k for k in terms if k <= size}) or [size]
 
 
 def _view(
@@ -223,92 +268,73 @@ def _view(
     transfer: Transfer,
     environment: Environment,
     camera: Camera,
-    full: NDArray,
     width: int | None,
     noise: float,
-    report: Status,
+    report: Report,
 ) -> View:
-    """References and the picture of full SH radiance, (V, 3), under one environment."""
+    """Full SH and references under one environment."""
+    lighting = project_environment(environment, transfer.bandlimit)
+    radiance = relight(transfer, lighting)
     report(f"path-traced reference under {environment.name}")
     reference = render_reference(scene, environment, width=width, noise=noise, bounces=transfer.bounces)
     reference = replace(reference, picture=camera.masked(reference.picture))
     report(f"reference at the vertices under {environment.name}")
     toward = transfer.view if transfer.toward_view else None
     vertices = vertex_reference(scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
-    return View(environment, reference, vertices, camera.picture(vertices.radiance), camera.picture(full))
+    interpolated, full = camera.picture(vertices.radiance), camera.picture(radiance)
+    return View(environment, lighting, radiance, reference, vertices, interpolated, full)
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """What entries are measured against: lights, full SH under each, and pictures of it.
+def _with_picture(view: View, run: MethodRun, camera: Camera) -> View:
+    picture = camera.picture(run.radiance(view.lighting))
+    return replace(view, compressed={**view.compressed, run.method: picture})
 
-    Attributes
-    ----------
-    transfer : Transfer
-    lighting, full, views : one for each environment
-    camera : Camera
-    """
 
-    transfer: Transfer
-    lighting: list[NDArray]
-    full: list[NDArray]
-    views: list[View]
-    camera: Camera
+def _measure(run: MethodRun, transfer: Transfer, views: Sequence[View], camera: Camera) -> MethodResult:
+    """Errors, bytes and seconds of one run."""
+    relit_error, image_error, predicted, times, seams = {}, {}, {}, [], []
+    for view in views:
+        radiance = run.radiance(view.lighting)  # the first call prepares the functions
+        for _ in range(_RELIGHT_RUNS):
+            begin = time.perf_counter()
+            radiance = run.radiance(view.lighting)
+            times.append(time.perf_counter() - begin)
+        name = view.environment.name
+        relit_error[name] = relative_rms(radiance, view.radiance)
+        image_error[name] = relative_rms(camera.picture(radiance).radiance, view.reference.picture.radiance)
+        if run.compressed is not None:
+            predicted[name] = run.compressed.predicted_relit_error(view.lighting)
+            seams.append(seam(radiance, view.radiance, transfer.mesh.faces, run.compressed.clusters.index))
+    across, within = np.mean(seams, axis=0).tolist() if seams else (None, None)
+    return MethodResult(
+        run.method,
+        run.coding,
+        run.terms,
+        run.transfer.bytes_per_vertex,
+        relative_rms(run.transfer.reconstruct(), transfer.vectors),
+        None if run.compressed is None else run.compressed.predicted_error,
+        relit_error,
+        predicted,
+        image_error,
+        across,
+        within,
+        run.seconds,
+        float(np.median(times)),
+    )
 
-    def measured(self, entry: Entry) -> Method:
-        """Errors, bytes and seconds of one entry."""
-        relit_error, image_error, predicted, times, seams = {}, {}, {}, [], []
-        for light, reference, view in zip(self.lighting, self.full, self.views, strict=True):
-            radiance = entry.made.radiance(light)  # the first call prepares the functions
-            for _ in range(3):
-                begin = time.perf_counter()
-                radiance = entry.made.radiance(light)
-                times.append(time.perf_counter() - begin)
-            name, drawn = view.environment.name, view.reference.picture.radiance
-            relit_error[name] = relative_rms(radiance, reference)
-            image_error[name] = relative_rms(self.camera.picture(radiance).radiance, drawn)
-            if entry.packed is not None:
-                predicted[name] = entry.packed.predicted_relit_error(light)
-                seams.append(seam(radiance, reference, self.transfer.mesh.faces, entry.packed.clusters.index))
-        return Method(
-            entry.method,
-            entry.coding,
-            entry.terms,
-            entry.made.bytes_per_vertex,
-            relative_rms(entry.made.reconstruct().ravel(), self.transfer.vectors.ravel()),
-            None if entry.packed is None else entry.packed.predicted_error,
-            relit_error,
-            predicted,
-            image_error,
-            float(np.mean([across for across, _ in seams])) if seams else None,
-            float(np.mean([within for _, within in seams])) if seams else None,
-            entry.seconds,
-            float(np.median(times)),
-        )
 
-    def keep_pictures(self, entry: Entry) -> None:
-        """For the report."""
-        for view, light in zip(self.views, self.lighting, strict=True):
-            view.compressed[entry.method] = self.camera.picture(entry.made.radiance(light))
-
-    def rungs(self, lossy: Sequence[tuple[str, Entry]]) -> list[Rung]:
-        """The ladders of all environments; of what is lossy, titles and entries."""
-        found: list[Rung] = []
-        for view, full, light in zip(self.views, self.full, self.lighting, strict=True):
-            drawn, stages = view.reference, self._stages(view, full, light, lossy)
-            found += ladder(view.environment.name, drawn.picture, drawn.noise, drawn.seconds, self.camera, stages)
-        return found
-
-    def _stages(self, view: View, full: NDArray, light: NDArray, lossy: Sequence[tuple[str, Entry]]) -> list[Stage]:
-        """From radiance without a bandlimit down to coded coefficients, under one environment."""
-        exact, transfer = view.vertices, self.transfer
-        traced = sum(value for stage, value in transfer.seconds.items() if stage not in ("load", "plan"))
-        size = 2.0 * transfer.vectors[0].size  # in float16
-        return [
-            Stage("radiance at the vertices, no bandlimit", exact.radiance, exact.noise, exact.seconds, None),
-            Stage(f"full SH, bandlimit {transfer.bandlimit}", full, 0.0, traced, size),
-            *(
-                Stage(title, entry.made.radiance(light), 0.0, entry.seconds, entry.made.bytes_per_vertex)
-                for title, entry in lossy
-            ),
-        ]
+def _measure_ladder(view: View, transfer: Transfer, camera: Camera, lossy: Iterable[MethodRun]) -> list[StageError]:
+    """From radiance without a bandlimit down to coded coefficients, under one environment."""
+    exact = view.vertices
+    traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage not in ("load", "plan"))
+    size = 2.0 * transfer.vectors[0].size  # in float16
+    stages = [
+        Stage(NO_BANDLIMIT, exact.radiance, exact.noise, exact.seconds, None),
+        Stage(f"full SH, bandlimit {transfer.bandlimit}", view.radiance, 0.0, traced, size),
+    ]
+    for run in lossy:
+        title = f"{run.method}, {run.terms:.3g} functions" + (", coded" if run.coding == "coded" else "")
+        radiance = run.radiance(view.lighting)
+        stages.append(Stage(title, radiance, 0.0, run.seconds, run.transfer.bytes_per_vertex))
+    reference = view.reference
+    return measure_stages(view.environment.name, reference.picture, reference.noise, reference.seconds, camera, stages)

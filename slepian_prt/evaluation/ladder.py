@@ -1,22 +1,24 @@
-"""The error ladder: from the path-traced reference down to the compressed picture, what each step costs.
+"""The error ladder: from the path-traced reference down to the compressed picture, what each stage costs.
 
-Every rung is held against the same reference, so that the errors of successive rungs show what each step adds; beside
-it stands the noise of that comparison, below which no error is claimed.
+Every stage is held against the same reference, so that the errors of successive stages show what each adds; beside it
+stands the noise of that comparison, below which no error is claimed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.evaluation.metrics import Deviation, deviation, flip, picture_deviation, relative_mse
-from slepian_prt.relighting.pictures import Camera, Picture, exposure
+from slepian_prt.relighting.camera import Camera
+from slepian_prt.relighting.pictures import Picture, exposure
 
 IN_PICTURE = "path-traced picture"
 AT_VERTICES = "radiance at the vertices"
+NO_BANDLIMIT = f"{AT_VERTICES}, no bandlimit"
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Stage:
     name : str
     radiance : (V, 3)
     noise : float
-        Relative RMS noise of its own.
+        Its own relative RMS noise.
     seconds : float
         That it took, apart from the stages before.
     bytes_per_vertex : float or None
@@ -43,8 +45,8 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One step; the fields of ``ladder`` in results.json.
+class StageError:
+    """The error of one stage against one reference; the fields of ``ladder`` in results.json.
 
     Attributes
     ----------
@@ -56,8 +58,8 @@ class Rung:
     worst_at : list of int
         The vertex, or column and row of the pixel, that is worst; empty for the reference itself.
     flip, relative_mse : float or None
-        Of pictures: mean FLIP (Andersson et al. 2020) as they are shown, and mean squared error of the pixels relative
-        to their brightness.
+        Of pictures: mean FLIP (Andersson et al. 2020), and mean squared error of the pixels relative to their
+        brightness.
     noise : float
         Relative RMS noise of the comparison.
     seconds : float
@@ -78,15 +80,15 @@ class Rung:
     bytes_per_vertex: float | None
 
 
-def ladder(
+def measure_stages(
     environment: str,
     reference: Picture,
     reference_noise: float,
     reference_seconds: float,
     camera: Camera,
     stages: Sequence[Stage],
-) -> list[Rung]:
-    """The rungs of one environment.
+) -> list[StageError]:
+    """Errors of all stages under one environment, first in the picture and then at the vertices.
 
     Parameters
     ----------
@@ -98,43 +100,25 @@ def ladder(
     stages : sequence of Stage
         The first is the reference at the vertices, without a bandlimit.
     """
-    exact = stages[0]
-    scale = exposure(reference)
-    nothing = Deviation(0.0, 0.0, 0.0, [])
-    first = Stage(IN_PICTURE, exact.radiance, 0.0, reference_seconds, None)
-    rungs = [_rung(environment, first, IN_PICTURE, nothing, reference_noise, 0.0, 0.0)]
-    for number, stage in enumerate(stages):
+
+    def stage_error(
+        stage: Stage, against: str, off: Deviation, noise: float, *of_pictures: float, name: str | None = None
+    ) -> StageError:
+        flipped, squared = of_pictures or (None, None)
+        costs = (noise, stage.seconds, stage.bytes_per_vertex)
+        return StageError(environment, name or stage.name, against, *off, flipped, squared, *costs)
+
+    exact, scale, none = stages[0], exposure(reference), Deviation(0.0, 0.0, 0.0, [])
+    path_traced = Stage(IN_PICTURE, exact.radiance, 0.0, reference_seconds, None)
+    errors = [stage_error(path_traced, IN_PICTURE, none, reference_noise, 0.0, 0.0)]
+    for stage in stages:
         picture = camera.picture(stage.radiance)
-        shown = stage if number else replace(stage, name=f"{stage.name}, interpolated")
-        found, noise = picture_deviation(picture, reference), float(np.hypot(reference_noise, stage.noise))
-        seen, squared = flip(picture, reference, scale), relative_mse(picture, reference)
-        rungs.append(_rung(environment, shown, IN_PICTURE, found, noise, seen, squared))
-    for number, stage in enumerate(stages):
-        found = deviation(stage.radiance, exact.radiance) if number else nothing
-        rungs.append(_rung(environment, stage, AT_VERTICES, found, exact.noise, None, None))
-    return rungs
-
-
-def _rung(
-    environment: str,
-    stage: Stage,
-    against: str,
-    found: Deviation,
-    noise: float,
-    seen: float | None,
-    squared: float | None,
-) -> Rung:
-    return Rung(
-        environment,
-        stage.name,
-        against,
-        found.error,
-        found.percentile_99,
-        found.worst,
-        found.worst_at,
-        seen,
-        squared,
-        noise,
-        stage.seconds,
-        stage.bytes_per_vertex,
-    )
+        noise = float(np.hypot(reference_noise, stage.noise))
+        of_pictures = flip(picture, reference, scale), relative_mse(picture, reference)
+        name = f"{stage.name}, interpolated" if stage is exact else stage.name
+        off = picture_deviation(picture, reference)
+        errors.append(stage_error(stage, IN_PICTURE, off, noise, *of_pictures, name=name))
+    for stage in stages:
+        off = none if stage is exact else deviation(stage.radiance, exact.radiance)
+        errors.append(stage_error(stage, AT_VERTICES, off, exact.noise))
+    return errors

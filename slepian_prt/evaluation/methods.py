@@ -1,40 +1,32 @@
-"""The ways to compress that a comparison holds against each other."""
+"""The ways to compress that a comparison holds against each other; a new one is one more entry of ``METHODS``."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.baselines import haar_transfer, iterate_clusters
+from slepian_prt.compression.bases import BASES, CurveStyle
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping
-from slepian_prt.compression.settings import BASES
+from slepian_prt.compression.principal_components import iterate_clusters
 from slepian_prt.compression.stream import USUAL_TERMS, compress
 from slepian_prt.errors import UserError
+from slepian_prt.evaluation.baselines import D3DX_TERMS, d3dx_transfer, haar_transfer
 from slepian_prt.lighting.spectrum import measured_prior
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.relighting.relight import relight
 from slepian_prt.transport.transfer import Transfer
 
-# What Direct3D's PRT library (D3DX) recommends: SH of order 6, 24 PCA vectors.
-_D3DX_BANDLIMIT, _D3DX_TERMS = 5, 24
-
-METHODS = (*BASES, "adapted+light", "adapted+pca", "haar", "d3dx")
-DEFAULT_METHODS = (
-    "adapted", "adapted+light", "adapted+pca", "transport", "slepian", "incident", "sh", "cpca", "haar", "d3dx"
-)  # fmt: skip
-
-# Methods that are also shown coded, at these tolerances.
-_CODED = ("adapted", "adapted+light")
-_CODED_TOLERANCES = (0.2, 0.1, 0.05, 0.02)
+# Tolerances of the methods that are also compared coded.
+_TOLERANCES = (0.2, 0.1, 0.05, 0.02)
 
 
 class Relightable(Protocol):
-    """What a method makes of transfer vectors."""
+    """What other methods than ours make of transfer vectors."""
 
     @property
     def bytes_per_vertex(self) -> float:
@@ -48,7 +40,30 @@ class Relightable(Protocol):
 
 
 @dataclass(frozen=True)
-class Entry:
+class Workload:
+    """What all methods of a comparison compress.
+
+    Attributes
+    ----------
+    transfer : Transfer
+    grouping : Grouping
+    lighting : sequence of (3, (L+1)²)
+        The maps of the comparison.
+    terms : sequence of int
+        Numbers of functions.
+    report : callable
+        Given the name of each step as it begins.
+    """
+
+    transfer: Transfer
+    grouping: Grouping
+    lighting: Sequence[NDArray]
+    terms: Sequence[int]
+    report: Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class MethodRun:
     """One method with one setting.
 
     Attributes
@@ -56,9 +71,10 @@ class Entry:
     method : str
     coding : str
     terms : float
-    asked : int or None
-        Number of functions that was asked for.
-    made : Relightable
+        Mean number of functions.
+    wanted_terms : int or None
+        Number of functions that was asked for, if one was.
+    transfer : CompressedTransfer or Relightable
     seconds : float
         That compression took.
     """
@@ -66,14 +82,41 @@ class Entry:
     method: str
     coding: str
     terms: float
-    asked: int | None
-    made: Relightable
+    wanted_terms: int | None
+    transfer: CompressedTransfer | Relightable
     seconds: float
 
     @property
-    def packed(self) -> CompressedTransfer | None:
-        """The same if it is ours, which knows what error to expect."""
-        return self.made if isinstance(self.made, CompressedTransfer) else None
+    def compressed(self) -> CompressedTransfer | None:
+        """The transfer if it is of our own kind, which knows what error to expect."""
+        return self.transfer if isinstance(self.transfer, CompressedTransfer) else None
+
+    def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
+        """(V, 3) outgoing radiance under lighting (3, (L+1)²)."""
+        if isinstance(self.transfer, CompressedTransfer):
+            return relight(self.transfer, lighting)
+        return self.transfer.radiance(lighting)
+
+
+@dataclass(frozen=True)
+class Method:
+    """What comparisons know of a method by its name.
+
+    Attributes
+    ----------
+    description : str
+        Half a sentence, for reports.
+    style : CurveStyle
+    run : callable
+        Compresses a workload with every setting.
+    by_default : bool
+        Whether it is compared if no methods are named.
+    """
+
+    description: str
+    style: CurveStyle
+    run: Callable[[Workload], Iterator[MethodRun]]
+    by_default: bool = True
 
 
 def check_methods(methods: Sequence[str]) -> None:
@@ -85,105 +128,131 @@ def check_methods(methods: Sequence[str]) -> None:
             raise UserError(f"basis must be one of {', '.join(METHODS)}, not {method!r}")
 
 
-def entries(
-    transfer: Transfer,
-    clusters: Grouping,
-    methods: Sequence[str],
-    terms: Sequence[int],
-    lighting: Sequence[NDArray],
-    report: Callable[[str], None],
-) -> Iterator[Entry]:
+def run_methods(methods: Sequence[str], work: Workload) -> Iterator[MethodRun]:
     """Every method with every number of terms, some coded to every tolerance, and full SH last."""
     for method in methods:
-        if method == "d3dx":
-            report("d3dx")
-            yield _timed(method, "float16", _D3DX_TERMS, None, lambda: _d3dx(transfer, clusters))
-            continue
-        for k in terms:
-            report(f"{method}, {k} terms")
-            if method == "haar":
-                yield _haar(transfer, k)
-            else:
-                yield _compressed(transfer, clusters, method, lighting, terms=k, coding="float16")
-        if method == "cpca":
-            yield from _cpca_coded(transfer, clusters, report)
-            continue
-        for tolerance in _CODED_TOLERANCES if method in _CODED else ():
-            report(f"{method}, coded to {tolerance:g}")
-            yield _compressed(transfer, clusters, method, lighting, tolerance=tolerance)
-    report("full SH")
-    yield _compressed(transfer, clusters, "none", lighting, coding="float16")
+        yield from METHODS[method].run(work)
+    yield from FULL_SH.run(work)
 
 
-def _compressed(
-    transfer: Transfer,
-    clusters: Grouping,
-    method: str,
-    lighting: Sequence[NDArray],
-    *,
-    terms: int | None = None,
-    tolerance: float | None = None,
-    coding: str | None = None,
-) -> Entry:
-    basis, _, addition = method.partition("+")
-    prior = measured_prior(lighting, transfer.bandlimit, "the maps") if addition == "light" else None
-    packed = compress(
-        transfer,
-        basis,
-        terms=terms,
-        tolerance=tolerance,
-        coding=coding,
-        clusters=None if basis == "none" else clusters,
-        light_prior=prior,
-        refine=True if addition == "pca" else None,
-    )
-    return Entry(method, packed.coding, packed.terms, terms, packed, packed.seconds["compress"])
+# --- How each is run -------------------------------------------------------------------------------------------------
 
 
-def _cpca_coded(transfer: Transfer, clusters: Grouping, report: Callable[[str], None]) -> Iterator[Entry]:
+def _linear(
+    name: str, *, refine: bool | None = None, prior_of_maps: bool = False, coded: bool = False
+) -> Callable[[Workload], Iterator[MethodRun]]:
+    """The basis that ``name`` begins with, cut to numbers of terms and, if ``coded``, rounded to tolerances too."""
+    basis = name.partition("+")[0]
+
+    def run(work: Workload) -> Iterator[MethodRun]:
+        bandlimit = work.transfer.bandlimit
+        prior = measured_prior(work.lighting, bandlimit, "the maps") if prior_of_maps else None
+        for k in work.terms:
+            work.report(f"{name}, {k} terms")
+            packed = compress(
+                work.transfer,
+                basis,
+                terms=k,
+                coding="float16",
+                clusters=work.grouping,
+                light_prior=prior,
+                refine=refine,
+            )
+            yield _run_of(name, packed, wanted_terms=k)
+        for tolerance in _TOLERANCES if coded else ():
+            work.report(f"{name}, coded to {tolerance:g}")
+            packed = compress(
+                work.transfer, basis, tolerance=tolerance, clusters=work.grouping, light_prior=prior, refine=refine
+            )
+            yield _run_of(name, packed)
+
+    return run
+
+
+def _cpca(work: Workload) -> Iterator[MethodRun]:
     """Clusters are iterated once for all tolerances, and that time counts each time."""
+    yield from _linear("cpca")(work)
     begin = time.perf_counter()
-    iterated = iterate_clusters(clusters.clusters, transfer.axes, transfer.vectors, USUAL_TERMS, report)
+    axes, vectors = work.transfer.axes, work.transfer.vectors
+    iterated = iterate_clusters(work.grouping.clusters, axes, vectors, USUAL_TERMS, work.report)
     seconds = time.perf_counter() - begin
-    for tolerance in _CODED_TOLERANCES:
-        report(f"cpca, coded to {tolerance:g}")
-        packed = compress(transfer, "pca", tolerance=tolerance, clusters=iterated)
-        yield Entry("cpca", packed.coding, packed.terms, None, packed, seconds + packed.seconds["compress"])
+    for tolerance in _TOLERANCES:
+        work.report(f"cpca, coded to {tolerance:g}")
+        packed = compress(work.transfer, "pca", tolerance=tolerance, clusters=iterated)
+        yield _run_of("cpca", packed, seconds=seconds)
 
 
-def _haar(transfer: Transfer, terms: int) -> Entry:
-    return _timed("haar", "8 bits", terms, terms, lambda: haar_transfer(transfer.vectors, terms, transfer.mesh.albedo))
+def _haar(work: Workload) -> Iterator[MethodRun]:
+    for k in work.terms:
+        work.report(f"haar, {k} terms")
+        begin = time.perf_counter()
+        wavelets = haar_transfer(work.transfer.vectors, k, work.transfer.mesh.albedo)
+        yield MethodRun("haar", "8 bits", k, k, wavelets, time.perf_counter() - begin)
 
 
-def _timed(method: str, coding: str, terms: float, asked: int | None, make: Callable[[], Relightable]) -> Entry:
+def _d3dx(work: Workload) -> Iterator[MethodRun]:
+    work.report("d3dx")
     begin = time.perf_counter()
-    made = make()
-    return Entry(method, coding, terms, asked, made, time.perf_counter() - begin)
+    padded = d3dx_transfer(work.transfer, work.grouping)
+    yield MethodRun("d3dx", "float16", D3DX_TERMS, None, padded, time.perf_counter() - begin)
 
 
-@dataclass(frozen=True)
-class _Padded:
-    """Transfer of a lower bandlimit."""
-
-    packed: CompressedTransfer
-    size: int
-
-    @property
-    def bytes_per_vertex(self) -> float:
-        return self.packed.bytes_per_vertex
-
-    def reconstruct(self) -> NDArray[np.float32]:
-        vectors = self.packed.reconstruct()
-        padding = [(0, 0)] * (vectors.ndim - 1) + [(0, self.size - vectors.shape[-1])]
-        return np.pad(vectors, padding)
-
-    def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
-        return self.packed.radiance(lighting[:, : num_coefficients(self.packed.bandlimit)])
+def _full_sh(work: Workload) -> Iterator[MethodRun]:
+    work.report("full SH")
+    yield _run_of("none", compress(work.transfer, "none", coding="float16"))
 
 
-def _d3dx(transfer: Transfer, clusters: Grouping) -> _Padded:
-    bandlimit = min(transfer.bandlimit, _D3DX_BANDLIMIT)
-    size = num_coefficients(bandlimit)
-    cut = replace(transfer, bandlimit=bandlimit, vectors=transfer.vectors[:, :, :size], environment=None)
-    packed = compress(cut, "cpca", terms=min(_D3DX_TERMS, size), coding="float16", clusters=clusters)
-    return _Padded(packed, num_coefficients(transfer.bandlimit))
+def _run_of(
+    method: str, packed: CompressedTransfer, *, wanted_terms: int | None = None, seconds: float = 0.0
+) -> MethodRun:
+    """A run of our own compression, which took ``seconds`` beside what the transfer itself says."""
+    return MethodRun(method, packed.coding, packed.terms, wanted_terms, packed, seconds + packed.seconds["compress"])
+
+
+# --- The methods -----------------------------------------------------------------------------------------------------
+
+# Bases that are run otherwise than `_linear` does, and those that are compared only if they are named.
+_RUNS = {"adapted": _linear("adapted", coded=True), "cpca": _cpca}
+_NOT_BY_DEFAULT = ("direct", "pca")
+
+# Other ways to use a basis, by its name.
+_VARIANTS = {
+    "adapted": {
+        "adapted+light": Method(
+            "adapted, made for the mean spectrum of the maps compared here: the relit error counts",
+            CurveStyle("#D55E00", "*", "--"),
+            _linear("adapted+light", prior_of_maps=True, coded=True),
+        ),
+        "adapted+pca": Method(
+            "principal axes inside nearly complete adapted coefficients of each cap, which are stored",
+            CurveStyle("#D55E00", "s", "-."),
+            _linear("adapted+pca", refine=True),
+        ),
+    }
+}
+
+
+def _methods_of_bases() -> Iterator[tuple[str, Method]]:
+    """Every basis by itself, and its variants after it."""
+    for name, basis in BASES.items():
+        run = _RUNS.get(name) or _linear(name)
+        yield name, Method(basis.description, basis.style, run, by_default=name not in _NOT_BY_DEFAULT)
+        yield from _VARIANTS.get(name, {}).items()
+
+
+METHODS = {
+    **dict(_methods_of_bases()),
+    "haar": Method(
+        "the largest Haar wavelets of each vertex on a cube (Ng 2003), 8 bits each and their places",
+        CurveStyle("#7F7F7F", "p", "--"),
+        _haar,
+    ),
+    "d3dx": Method(
+        "what Direct3D's library recommends: degrees up to 5, cpca with 24 terms", CurveStyle("#000000", "h", ""), _d3dx
+    ),
+}
+
+DEFAULT_METHODS = tuple(name for name, method in METHODS.items() if method.by_default)
+
+# Every comparison has this too, under the name "none".
+FULL_SH = Method("all spherical harmonics, nothing compressed", CurveStyle("#222222", "+", ""), _full_sh)

@@ -1,11 +1,11 @@
-"""Measures of error."""
+"""Measures of error: every relative error of this package is the one that `relative_square` defines."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.relighting.pictures import Picture, to_srgb
 
@@ -15,13 +15,34 @@ _DARK = 0.01
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 
 
-def relative_rms(values: NDArray, reference: NDArray) -> float:
-    """‖values - reference‖ / ‖reference‖ in float64; 0 where both vanish."""
-    difference = np.linalg.norm((values.astype(np.float64) - reference.astype(np.float64)).ravel())
-    scale = np.linalg.norm(reference.astype(np.float64).ravel())
-    if scale == 0.0:
-        return 0.0 if difference == 0.0 else float("inf")
-    return float(difference / scale)
+def relative_square(square: ArrayLike, reference: float, noise: float = 0.0) -> NDArray[np.float64]:
+    """Squared relative error: the mean square of a difference over that of the reference, less ``noise``².
+
+    Parameters
+    ----------
+    square : float or array of floats
+        Mean squares (or sums of squares) of differences from the reference.
+    reference : float
+        Mean square (or sum of squares, over the same things) of the reference.
+    noise : float
+        Relative RMS noise of the reference, which is taken off: ⟨‖v - r - n‖²⟩ = ⟨‖v - r‖²⟩ + ⟨‖n‖²⟩ for noise n that
+        is independent of the difference. Zero leaves it in.
+
+    Returns
+    -------
+    array like ``square``, never negative; where the reference vanishes, 0 if the difference does too and else infinite.
+    """
+    square = np.asarray(square, dtype=np.float64)
+    if reference <= 0.0:
+        return np.where(square > 0.0, np.inf, 0.0)
+    return np.maximum(square / reference - noise**2, 0.0)
+
+
+def relative_rms(values: NDArray, reference: NDArray, noise: float = 0.0) -> float:
+    """‖values - reference‖ / ‖reference‖ in float64, the relative ``noise`` of the reference taken off."""
+    reference = reference.astype(np.float64).ravel()
+    difference = values.astype(np.float64).ravel() - reference
+    return float(np.sqrt(relative_square(difference @ difference, float(reference @ reference), noise)))
 
 
 class Deviation(NamedTuple):
@@ -44,28 +65,23 @@ class Deviation(NamedTuple):
 
 
 def deviation(values: NDArray, reference: NDArray) -> Deviation:
-    """Of radiance at vertices, (V, 3)."""
+    """Deviation of radiance at vertices, (V, 3)."""
     difference = np.linalg.norm(values.astype(np.float64) - reference.astype(np.float64), axis=-1)
-    scale = float(np.sqrt(np.mean(np.sum(reference.astype(np.float64) ** 2, axis=-1)))) if len(reference) else 0.0
-    if scale == 0.0:
-        scale = 1.0 if not difference.any() else 1e-300
+    scale = np.mean(np.sum(reference.astype(np.float64) ** 2, axis=-1)) if len(reference) else 0.0
     place = int(np.argmax(difference))
-    return Deviation(
-        float(np.sqrt(np.mean(difference**2))) / scale,
-        float(np.quantile(difference, 0.99)) / scale,
-        float(difference[place]) / scale,
-        [place],
-    )
+    squares = [np.mean(difference**2), np.quantile(difference, 0.99) ** 2, difference[place] ** 2]
+    error, percentile, worst = np.sqrt(relative_square(squares, float(scale))).tolist()
+    return Deviation(error, percentile, worst, [place])
 
 
 def picture_deviation(picture: Picture, reference: Picture) -> Deviation:
-    """Of pictures, over the pixels that the reference covers at least in part."""
+    """Deviation of pictures, over the pixels that the reference covers at least in part."""
     covered = np.flatnonzero(reference.alpha.ravel() > 0.0)
     if covered.size == 0:
         return Deviation(0.0, 0.0, 0.0, [])
-    found = deviation(picture.radiance.reshape(-1, 3)[covered], reference.radiance.reshape(-1, 3)[covered])
-    row, column = divmod(int(covered[found.worst_at[0]]), reference.alpha.shape[1])
-    return found._replace(worst_at=[column, row])
+    pixels = deviation(picture.radiance.reshape(-1, 3)[covered], reference.radiance.reshape(-1, 3)[covered])
+    row, column = divmod(int(covered[pixels.worst_at[0]]), reference.alpha.shape[1])
+    return pixels._replace(worst_at=[column, row])
 
 
 def relative_mse(picture: Picture, reference: Picture) -> float:
@@ -79,18 +95,21 @@ def relative_mse(picture: Picture, reference: Picture) -> float:
 
 
 def flip(picture: Picture, reference: Picture, scale: float) -> float:
-    """Mean FLIP over covered pixels, of both pictures as they are shown: tone-mapped, over white.
+    """Mean FLIP over covered pixels; see `flip_errors`."""
+    errors = flip_errors(picture, reference, scale)
+    return float(errors.mean()) if errors.size else 0.0
+
+
+def flip_errors(picture: Picture, reference: Picture, scale: float) -> NDArray[np.float32]:
+    """FLIP of the pixels that the reference covers, both pictures tone-mapped with exposure ``scale``, over white.
 
     P. Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020; at 67 pixels per degree.
     """
     import flip_evaluator
 
-    covered = reference.alpha > 0.0
-    if not covered.any():
-        return 0.0
-    shown = [to_srgb(one, scale).astype(np.float32) / 255.0 for one in (reference, picture)]
-    errors, _, _ = flip_evaluator.evaluate(*shown, "LDR", applyMagma=False)
-    return float(np.asarray(errors)[..., 0][covered].mean())
+    images = [to_srgb(one, scale).astype(np.float32) / 255.0 for one in (reference, picture)]
+    errors, _, _ = flip_evaluator.evaluate(*images, "LDR", applyMagma=False)
+    return np.asarray(errors, dtype=np.float32)[..., 0][reference.alpha > 0.0]
 
 
 def error_map(picture: Picture, reference: Picture) -> NDArray[np.float64]:
@@ -101,7 +120,7 @@ def error_map(picture: Picture, reference: Picture) -> NDArray[np.float64]:
     return np.where(covered, difference, np.nan)
 
 
-def seam(radiance: NDArray, reference: NDArray, faces: NDArray, index: NDArray) -> tuple[float, float]:
+def seam(radiance: NDArray, reference: NDArray, faces: NDArray, cluster: NDArray) -> tuple[float, float]:
     """How much the error jumps along edges between clusters, and along edges within them.
 
     Root mean square over the edges of the difference of the error between the two ends, relative to that of the
@@ -111,14 +130,14 @@ def seam(radiance: NDArray, reference: NDArray, faces: NDArray, index: NDArray) 
     ----------
     radiance, reference : (V, 3)
     faces : (F, 3)
-    index : (V,)
-        Cluster of each vertex.
+    cluster : (V,)
+        Number of the cluster of each vertex.
     """
     error = radiance.astype(np.float64) - reference.astype(np.float64)
     a, b = (np.concatenate([faces[:, i] for i in order]) for order in ((0, 1, 2), (1, 2, 0)))
     jumps = np.sum((error[a] - error[b]) ** 2, axis=1)
     scale = float(np.mean(np.sum(reference.astype(np.float64) ** 2, axis=1)))
-    across = index[a] != index[b]
-    found = [float(jumps[chosen].mean()) if chosen.any() else 0.0 for chosen in (across, ~across)]
-    across_rms, within_rms = (float(np.sqrt(mean / scale)) if scale > 0.0 else 0.0 for mean in found)
-    return across_rms, within_rms
+    between = cluster[a] != cluster[b]
+    squares = [jumps[edges].mean() if edges.any() else 0.0 for edges in (between, ~between)]
+    across, within = np.sqrt(relative_square(squares, scale)).tolist()
+    return across, within

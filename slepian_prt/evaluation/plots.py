@@ -12,13 +12,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 
-def figure(columns: int = 1) -> tuple[Any, Any]:
-    """A row of plots in the size of a page."""
+def make_figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = None) -> tuple[Any, Any]:
+    """Plots side by side, by default in the size of a page: a Matplotlib figure, and its axes (rows, columns)."""
     plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False})
-    return plt.subplots(1, columns, figsize=(7.2 if columns == 1 else 5.4 * columns, 4.6), squeeze=False)
+    size = size or (7.2 if columns == 1 else 5.4 * columns, 4.6)
+    return plt.subplots(rows, columns, figsize=size, squeeze=False, sharex="col")
 
 
-def finish(figure: Any) -> bytes:
+def encode_png(figure: Any) -> bytes:
     """The figure as a PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
@@ -26,19 +27,12 @@ def finish(figure: Any) -> bytes:
     return buffer.getvalue()
 
 
-def logarithmic(axis: Any) -> None:
-    """A logarithmic ordinate, unless all errors are zero."""
+def finish_axis(axis: Any, abscissa: str, ordinate: str) -> None:
+    """Name the axes of a plot of errors; the ordinate is logarithmic unless all are zero, in per cent, with a grid."""
     if any(np.any(np.asarray(curve.get_ydata()) > 0.0) for curve in axis.get_lines()):
         axis.set_yscale("log")
-
-
-def legend(axis: Any) -> None:
-    """Beside the plot."""
-    axis.legend(frameon=False, fontsize=10, loc="upper left", bbox_to_anchor=(1.01, 1.0))
-
-
-def decorate(axis: Any) -> None:
-    """Grid, and errors in per cent."""
+    axis.set_xlabel(abscissa)
+    axis.set_ylabel(ordinate)
     axis.grid(True, which="both", color="#dddddd", linewidth=0.6)
     axis.set_axisbelow(True)
     formatter = matplotlib.ticker.FuncFormatter(lambda v, _: f"{100 * v:g} %")
@@ -50,15 +44,27 @@ def decorate(axis: Any) -> None:
         axis.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
+def scale_abscissa(axis: Any, factor: float = 1.0, unit: str = "") -> None:
+    """A logarithmic abscissa with plain numbers, times ``factor``, at 1, 2 and 5 of each decade."""
+    axis.set_xscale("log")
+    axis.xaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{factor * v:g}{unit}"))
+    axis.xaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
+
+
+def add_legend(axis: Any) -> None:
+    """Beside the plot."""
+    axis.legend(frameon=False, fontsize=10, loc="upper left", bbox_to_anchor=(1.01, 1.0))
+
+
 def percent(value: float | None) -> str:
-    """For readers, with two digits."""
+    """An error for readers, with two digits."""
     if value is None:
         return "–"
-    if value == 0.0:
-        return "0 %"
-    return f"{100 * value:.2g} %" if value < 0.1 else f"{100 * value:.0f} %"
+    number = "0" if value == 0.0 else f"{100 * value:.2g}" if value < 0.1 else f"{100 * value:.0f}"
+    return f"{number}\N{NO-BREAK SPACE}%"
 
 
 def seconds(value: float) -> str:
-    """For readers, in milliseconds or seconds."""
+    """A time for readers, in milliseconds or seconds."""
     return f"{1000 * value:.2g} ms" if value < 0.1 else f"{value:.2g} s" if value < 10 else f"{value:.0f} s"

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.relighting.pictures import Picture, split_alpha
 from slepian_prt.scene.scene import Scene, mitsuba_scene
-from slepian_prt.scene.sensors import View, sensor
-from slepian_prt.transport.interior import borrow
+from slepian_prt.scene.sensors import sensor
+from slepian_prt.scene.view import View
+from slepian_prt.transport.interior import find_interior
 
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
@@ -75,9 +76,9 @@ def render_reference(
         lit = mitsuba_scene(scene, sensor=sensor(scene, width, samples), emitter=emitter)
         return np.array(mi.render(lit, integrator=integrator, spp=samples, seed=seed), dtype=np.float64)
 
-    first, second, measured, samples = _converge(half, noise, largest_samples, lambda pixels: pixels[..., :3])
-    picture = split_alpha(0.5 * (first + second))
-    return ReferencePicture(picture, measured, samples, time.perf_counter() - started)
+    halves, reached, samples = _converge(half, noise, largest_samples, channels=3)
+    picture = split_alpha(halves.mean(axis=0))
+    return ReferencePicture(picture, reached, samples, time.perf_counter() - started)
 
 
 def vertex_reference(
@@ -105,43 +106,51 @@ def vertex_reference(
     lit = mitsuba_scene(scene, emitter=environment_emitter(mi, environment))
 
     def half(samples: int, number: int) -> NDArray[np.float64]:
-        own = 65537 * seed + number
+        half_seed = 65537 * seed + number
         if view is not None:
-            return _sample_toward(scene, lit, view, samples, own, bounces)[chosen]
-        return _sample_vertices(scene, lit, chosen, samples, own, bounces)
+            return _sample_toward(scene, lit, view, samples, half_seed, bounces)[chosen]
+        return _sample_vertices(scene, lit, chosen, samples, half_seed, bounces)
 
-    first, second, measured, samples = _converge(half, noise, largest_samples, lambda values: values, squares=False)
+    halves, reached, samples = _converge(half, noise, largest_samples, stratified=False)
     albedo = scene.mesh.albedo[chosen] if view is None else 1.0
-    mean = 0.5 * (first + second)
+    mean = halves.mean(axis=0)
     if view is None and vertices is None:
         # What transport does for vertices inside other geometry.
-        borrow(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
+        find_interior(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
     radiance = (mean * albedo).astype(np.float32)
-    return ReferenceVertices(radiance, measured, samples, time.perf_counter() - started)
+    return ReferenceVertices(radiance, reached, samples, time.perf_counter() - started)
 
 
 def _converge(
     half: Callable[[int, int], NDArray],
     noise: float,
     largest: int,
-    compared: Callable[[NDArray], NDArray],
     *,
-    squares: bool = True,
-) -> tuple[NDArray, NDArray, float, int]:
-    """Two independent halves with enough samples, the noise of their mean, and the samples of both.
+    channels: int | None = None,
+    stratified: bool = True,
+) -> tuple[NDArray, float, int]:
+    """Two independent halves (2, …) with enough samples, the noise of their mean, and the samples of both.
 
     Each round starts afresh with the count that the last one's noise asks for: a stratified set twice as large beats
     two sets.
+
+    Parameters
+    ----------
+    half : callable
+        Given a number of samples and a seed.
+    noise, largest : wanted relative RMS noise, and the most samples
+    channels : of the last axis, those that noise counts in; all by default
+    stratified : whether samplers want a square number in each half
     """
     samples, seed = 32, 0
     while True:
-        first, second = half(samples // 2, seed), half(samples // 2, seed + 1)
-        measured = _half_noise(compared(first), compared(second))
-        if measured <= noise or samples >= largest:
-            return first, second, measured, samples
-        wanted = 1.1 * samples * (measured / noise) ** (1.0 / 0.7)
-        if squares:
-            # Stratified samplers want a square number in each half; powers of four are.
+        halves = np.stack([half(samples // 2, seed), half(samples // 2, seed + 1)])
+        reached = _half_noise(*halves[..., :channels])
+        if reached <= noise or samples >= largest:
+            return halves, reached, samples
+        wanted = 1.1 * samples * (reached / noise) ** (1.0 / 0.7)
+        if stratified:
+            # Powers of four are squares.
             per_half = 4 ** math.ceil(math.log(wanted / 2, 4) - 1e-9)
             wanted = max(2 * per_half, 4 * samples)
         samples, seed = min(largest, max(2 * math.ceil(0.5 * wanted), 2 * samples)), seed + 2
@@ -182,9 +191,9 @@ def _sample_vertices(
         ds, weight = emitter.sample_direction(si, mi.Point2f(u[0], u[1]), valid)
         cosine = dr.maximum(dr.dot(si.n, ds.d), 0.0)
         balance = ds.pdf / (ds.pdf + cosine * dr.inv_pi)
-        seen = valid & (cosine > 0.0) & (ds.pdf > 0.0)
-        seen &= ~lit.ray_test(mi.Ray3f(si.p, ds.d), seen)
-        value = dr.select(seen, weight * cosine * dr.inv_pi * balance, 0.0)
+        visible = valid & (cosine > 0.0) & (ds.pdf > 0.0)
+        visible &= ~lit.ray_test(mi.Ray3f(si.p, ds.d), visible)
+        value = dr.select(visible, weight * cosine * dr.inv_pi * balance, 0.0)
 
         local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[2], u[3]))
         ray = mi.Ray3f(si.p, mi.Frame3f(si.n).to_world(local))
@@ -220,8 +229,8 @@ def _sample_toward(scene: Scene, lit: Any, view: View, samples: int, seed: int, 
     facing = np.flatnonzero(cosine > 1e-4)
     # From a little above, back onto the surface under the point that transfer starts from.
     offsets = scene.ray_offsets[facing]
-    met = scene.ray_origins[facing] - offsets[:, None] * normals[facing]
-    origins = met + (2.0 * offsets / np.maximum(cosine[facing], 0.05))[:, None] * toward[facing]
+    surface = scene.ray_origins[facing] - offsets[:, None] * normals[facing]
+    origins = surface + (2.0 * offsets / np.maximum(cosine[facing], 0.05))[:, None] * toward[facing]
     total = np.zeros((len(positions), 3))
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
     block = max(1, (1 << 20) // samples)
@@ -232,7 +241,7 @@ def _sample_toward(scene: Scene, lit: Any, view: View, samples: int, seed: int, 
         origin = dr.gather(mi.Point3f, mi.Point3f(origins[chosen].T.astype(np.float32)), vertex)
         direction = dr.gather(mi.Vector3f, mi.Vector3f(-toward[facing[chosen]].T.astype(np.float32)), vertex)
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed * 7919 + begin, size * samples)
+        sampler.seed((seed * 7919 + begin) % 2**32, size * samples)
         radiance, _, _ = integrator.sample(lit, sampler, mi.RayDifferential3f(mi.Ray3f(origin, direction)))
         summed = dr.zeros(mi.Color3f, size)
         dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(radiance), vertex)

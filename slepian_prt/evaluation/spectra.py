@@ -1,20 +1,16 @@
-"""Spectra of concentration problems: numbers, plots, and the empirical operators that they are held against."""
+"""Spectra of concentration problems: numbers and plots."""
 
 from __future__ import annotations
 
-import io
 import math
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
+from slepian_prt.evaluation import plots
 from slepian_prt.slepian.concentration import cap_basis
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.slepian.shannon import (
@@ -23,7 +19,7 @@ from slepian_prt.slepian.shannon import (
     refined_shannon_number,
     shannon_number,
 )
-from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.sphere.harmonics import num_coefficients
 
 LARGEST_BANDLIMIT = 500
 
@@ -106,72 +102,32 @@ def spectrum(bandlimit: int, half_angle: float, kernel: str = "slepian", epsilon
     return Spectrum(kernel, bandlimit, half_angle, epsilon, values, basis.orders, numbers)
 
 
-def empirical_spectrum(
-    zonal: NDArray, half_angle: float, *, reflection: bool = False, samples: int = 20_000, seed: int = 0
-) -> NDArray[np.float64]:
-    """Squared singular values of a discretised transport operator, relative to the first.
-
-    Rows are the transfer vectors D_t y(c(x)) of points x whose axes c(x) are drawn at random from the cap. With
-    ``reflection`` the points have normals in the cap Θ/2 and the axis is the reflection of a fixed view direction,
-    (θ, φ) → (2θ, φ) (Lessig & Fiume, Sec. 4); rows then carry the Jacobian √(dω_c/dω_n) = √(4 cos θ), so that the
-    operator's norm is that over the cap of axes.
-
-    Parameters
-    ----------
-    zonal : (L+1,) coefficients t_l
-    half_angle : Θ of the cap of axes, radians
-
-    Returns
-    -------
-    (min(samples, (L+1)²),)
-    """
-    rng = np.random.default_rng(seed)
-    bandlimit = len(zonal) - 1
-    theta = 2.0 * np.arcsin(np.sqrt(rng.random(samples)) * math.sin(half_angle / (4 if reflection else 2)))
-    phi = rng.random(samples) * 2.0 * math.pi
-    weight = np.ones(samples)
-    if reflection:
-        weight, theta = np.sqrt(4.0 * np.cos(theta)), 2.0 * theta
-    axes = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-    rows = real_sh(bandlimit, axes) * zonal[degrees(bandlimit)] * weight[:, None]
-    sigma = np.linalg.svd(rows, compute_uv=False)
-    return (sigma / sigma[0]) ** 2
-
-
 def draw_spectrum(axis: Any, values: NDArray, label: str, *, color: str, dash: str = "-", marker: str = "") -> None:
     """Eigenvalues against their index from one on."""
     axis.plot(np.arange(1, values.size + 1), values, dash, color=color, marker=marker, label=label, markersize=4)
 
 
-def mark_number(axis: Any, number: float, label: str, *, color: str, dash: str) -> None:
-    """A vertical line at a Shannon number."""
-    axis.axvline(number, color=color, linestyle=dash, linewidth=1.2, label=label)
-
-
 def plot_spectrum(result: Spectrum) -> bytes:
     """PNG of a spectrum with its Shannon numbers, linear above and logarithmic below."""
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False})
-    figure, (upper, lower) = plt.subplots(2, 1, figsize=(7.2, 7.0), sharex=True)
+    figure, axes = plots.make_figure(rows=2, size=(7.2, 7.0))
+    upper, lower = axes[:, 0]
     reach = min(num_coefficients(result.bandlimit), max(12, int(1.6 * result.numbers["count"]) + 8))
+    drawn = result.eigenvalues[:reach]
+    marks = (("shannon", "N", "#222222", ":"), ("n_g", "N_g", "#D55E00", "-."), ("n_ref", "N_ref", "#009E73", "--"))
     for axis in (upper, lower):
-        draw_spectrum(axis, result.eigenvalues[:reach], result.kernel, color="#0072B2", marker="o")
-        mark_number(axis, result.numbers["shannon"], f"N = {result.numbers['shannon']:.1f}", color="#222222", dash=":")
-        mark_number(axis, result.numbers["n_g"], f"N_g = {result.numbers['n_g']:.1f}", color="#D55E00", dash="-.")
-        mark_number(axis, result.numbers["n_ref"], f"N_ref = {result.numbers['n_ref']:.1f}", color="#009E73", dash="--")
+        draw_spectrum(axis, drawn, result.kernel, color="#0072B2", marker="o")
+        for name, symbol, color, dash in marks:
+            number = result.numbers[name]
+            axis.axvline(number, color=color, linestyle=dash, linewidth=1.2, label=f"{symbol} = {number:.1f}")
+        axis.axhline(result.epsilon, color="#999999", linewidth=0.8)
         axis.grid(True, color="#dddddd", linewidth=0.6)
         axis.set_ylabel("eigenvalue" if result.kernel == "slepian" else "eigenvalue relative to the first")
-    upper.axhline(result.epsilon, color="#999999", linewidth=0.8)
-    lower.axhline(result.epsilon, color="#999999", linewidth=0.8)
     lower.set_yscale("log")
-    shown = result.eigenvalues[:reach]
-    lower.set_ylim(max(1e-16, 0.3 * float(shown[shown > 0].min(initial=1.0))), 3.0)
+    lower.set_ylim(max(1e-16, 0.3 * float(drawn[drawn > 0].min(initial=1.0))), 3.0)
     lower.set_xlabel("index")
     upper.set_title(
         f"L = {result.bandlimit}, Θ = {math.degrees(result.half_angle):g}°: {result.numbers['count']:.0f} "
         f"concentrations above ε = {result.epsilon:g}"
     )
     upper.legend(frameon=False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
-    plt.close(figure)
-    return buffer.getvalue()
+    return plots.encode_png(figure)

@@ -13,10 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.map_files import Checked, Rows, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import resampled
+from slepian_prt.summary import Summarised
 
 
-@dataclass(frozen=True)
-class Environment:
+@dataclass(frozen=True, repr=False)
+class Environment(Summarised):
     """A distant light: radiance by direction, on a latitude-longitude grid.
 
     Attributes
@@ -38,6 +39,16 @@ class Environment:
     def rotated(self, degrees: float) -> Environment:
         """Turned counter-clockwise about the world's up axis y."""
         return replace(self, to_world=about_up(degrees) @ self.to_world)
+
+    def _summary(self) -> dict[str, object]:
+        angle = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(self.to_world)) - 1.0) / 2.0))))
+        return {
+            "name": self.name,
+            "texels": f"{self.texels.shape[1]} x {self.texels.shape[0]}",
+            "brightest": float(self.texels.max()),
+            "turned": f"{angle:.4g}°" if angle > 1e-3 else None,
+            "clamped": self.clamped or None,
+        }
 
 
 def about_up(degrees: float) -> NDArray[np.float64]:

@@ -102,7 +102,7 @@ class Checked:
         if lost > _NEGATIVE_TOLERANCE * kept and not self.clamp_negative:
             raise UserError(
                 f"{rows.origin}: {self.clamped} texels are negative (down to {lowest:.4g}) and amount to "
-                f"{lost / max(kept, 1e-30):.1%} of the light; repair the map, or pass --clamp-negative to set them to "
+                f"{lost / max(kept, 1e-30):.1%} of the light; repair the map, or pass `clamp_negative` to set them to "
                 "zero"
             )
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.sphere.harmonics import degrees, num_coefficients
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients
 
 FALLING = "1/(l+1)"
 
@@ -40,7 +40,7 @@ def light_power(lighting: ArrayLike) -> NDArray[np.float64]:
     """(L+1,) power per harmonic of lighting (..., (L+1)²), channels added."""
     squares = np.asarray(lighting, dtype=np.float64) ** 2
     squares = squares.reshape(-1, squares.shape[-1]).sum(axis=0)
-    bandlimit = round(np.sqrt(squares.size)) - 1
+    bandlimit = bandlimit_of(squares.size)
     sums = np.bincount(degrees(bandlimit), squares)
     return np.asarray(sums / (2.0 * np.arange(bandlimit + 1) + 1.0))
 

@@ -90,13 +90,13 @@ class Projection:
     def adjoint(self, coefficients: NDArray) -> NDArray[np.float64]:
         """(H, W, C) texels from coefficients (C, (L+1)²): the transpose, what gradients go back through."""
         height, width = self._grid
-        own = rotate_sh(np.asarray(coefficients, dtype=np.float64), (self.to_world @ _MAP_TO_WORLD).T)
-        spectrum = np.zeros((height, width // 2 + 1, len(own)), dtype=np.complex128)
+        in_map = rotate_sh(np.asarray(coefficients, dtype=np.float64), (self.to_world @ _MAP_TO_WORLD).T)
+        spectrum = np.zeros((height, width // 2 + 1, len(in_map)), dtype=np.complex128)
         for order, legendre in enumerate(_weighted_legendre(self.bandlimit, height)):
             l = np.arange(order, self.bandlimit + 1)
-            moments = (legendre.T @ own[:, l * l + l + order].T).astype(np.complex128)
+            moments = (legendre.T @ in_map[:, l * l + l + order].T).astype(np.complex128)
             if order:
-                moments -= 1j * (legendre.T @ own[:, l * l + l - order].T)
+                moments -= 1j * (legendre.T @ in_map[:, l * l + l - order].T)
             spectrum[:, order] = np.conj(moments)
         spectrum[:, : self.bandlimit + 1] *= np.conj(self._phases)[:, None]
         # The transpose of the real part of an FFT: an inverse FFT without its 1/W, half of each m > 0.

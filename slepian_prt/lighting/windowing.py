@@ -7,13 +7,11 @@ window falls to zero at, which may be beyond the bandlimit.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.errors import UserError
-from slepian_prt.sphere.harmonics import degrees
+from slepian_prt.errors import UserError, check_choice
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 
 WINDOWS = ("hann", "lanczos")
 
@@ -34,8 +32,7 @@ def window(name: str, bandlimit: int, width: float) -> NDArray[np.float64]:
     UserError
         An unknown name, or a width that is not positive.
     """
-    if name not in WINDOWS:
-        raise UserError(f"window must be one of {', '.join(WINDOWS)}, not {name!r}")
+    check_choice(name, "window", WINDOWS)
     if not 0.0 < width < np.inf:
         raise UserError(f"width of the window must be larger than 0 degrees, not {width}")
     l = np.arange(bandlimit + 1)
@@ -46,5 +43,5 @@ def window(name: str, bandlimit: int, width: float) -> NDArray[np.float64]:
 
 def windowed(lighting: NDArray, name: str, width: float) -> NDArray[np.float64]:
     """Lighting (…, (L+1)²) with each degree damped."""
-    bandlimit = math.isqrt(lighting.shape[-1]) - 1
+    bandlimit = bandlimit_of(lighting.shape[-1])
     return np.asarray(lighting * window(name, bandlimit, width)[degrees(bandlimit)])

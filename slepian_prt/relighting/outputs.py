@@ -1,11 +1,14 @@
-"""Relit results as files: numbers per vertex, coloured meshes, pictures, series of them and films."""
+"""Relit results as files: numbers per vertex, coloured meshes, pictures, series of them and films.
+
+From here on radiance is drawn: on the mesh that its receivers are the vertices of, or by a camera.
+"""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,16 +16,66 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_folder, check_writable
-from slepian_prt.relighting.pictures import Camera, Picture, exposure, to_srgb, write_picture
+from slepian_prt.relighting.camera import Camera, relit_camera
+from slepian_prt.relighting.pictures import Picture, exposure, to_srgb, write_picture
+from slepian_prt.relighting.series import Series
 from slepian_prt.scene.mesh import Mesh
 
 # Of one result; several go to a folder, to one .npz, or to a film.
-SUFFIXES = (".npz", ".ply", ".png", ".exr")
+PICTURES = (".png", ".exr")
+SUFFIXES = (".npz", ".ply", *PICTURES)
 FILM = ".mp4"
 
 _FRAMES_PER_SECOND = 30
+
+
+def write_relit(
+    output: str,
+    packed: CompressedTransfer,
+    series: Series,
+    suffix: str,
+    width: int | None,
+    report: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Write radiance as what the name of the output says.
+
+    Parameters
+    ----------
+    output : str
+        Found good by `check_output`.
+    packed : CompressedTransfer
+        Its mesh and its camera draw the radiance.
+    series : Series
+    suffix : one of `SUFFIXES`
+        Of the files, where the output is a folder.
+    width : int, optional
+        Of pictures, in pixels.
+    report : callable
+        Given a line about each thing worth knowing.
+    """
+    mesh, kind = packed.mesh, Path(output).suffix.lower()
+    several = kind not in (*SUFFIXES, FILM)
+    camera = None
+    if kind in (*PICTURES, FILM) or (several and suffix in PICTURES):
+        camera = relit_camera(packed, width)
+        if not camera.alpha.any():
+            report(f"{output}: the camera sees no front of any surface; the picture is empty")
+    if several:
+        write_series(output, series.names, mesh, series.radiance, suffix, camera)
+    elif kind == ".npz":
+        write_radiance(output, mesh, series.radiance if len(series.names) > 1 else series.radiance[0])
+    elif kind == ".ply":
+        scale = write_coloured_mesh(output, mesh, series.radiance[0])
+        report(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
+    elif kind == FILM:
+        assert camera is not None
+        write_film(output, camera, series.radiance)
+    else:
+        assert camera is not None
+        write_picture(output, camera.picture(series.radiance[0]))
 
 
 def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray) -> None:
@@ -31,21 +84,22 @@ def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray) -> None:
         np.savez(file, radiance=np.asarray(radiance, dtype=np.float32), positions=mesh.positions)
 
 
-def mesh_exposure(mesh: Mesh, radiance: NDArray) -> float:
-    """The factor that shows radiance at the vertices well."""
-    return exposure(Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32)))
-
-
 def write_coloured_mesh(path: str | Path, mesh: Mesh, radiance: NDArray, scale: float | None = None) -> float:
     """``.ply`` with tone-mapped sRGB colours per vertex; returns the exposure that they were scaled with."""
-    strip = Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
-    scale = mesh_exposure(mesh, radiance) if scale is None else scale
+    vertices = _vertex_picture(mesh, radiance)
+    scale = exposure(vertices) if scale is None else scale
     coloured = trimesh.Trimesh(
-        mesh.positions, mesh.faces, vertex_normals=mesh.normals, vertex_colors=to_srgb(strip, scale)[0], process=False
-    )
+        mesh.positions, mesh.faces, vertex_normals=mesh.normals, vertex_colors=to_srgb(vertices, scale)[0],
+        process=False,
+    )  # fmt: skip
     with atomic_output(path) as file:
         file.write(coloured.export(file_type="ply"))
     return scale
+
+
+def _vertex_picture(mesh: Mesh, radiance: NDArray) -> Picture:
+    """Radiance (V, 3) as a picture of one row, whose pixels are the vertices."""
+    return Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
 
 
 def write_series(
@@ -64,38 +118,39 @@ def write_series(
     camera : Camera
         For pictures.
     """
-    with _assembled(folder) as assembled:
+    with _complete_folder(folder) as unfinished:
+        files = [(unfinished / f"{name}{suffix}", one) for name, one in zip(names, radiance, strict=True)]
         if suffix == ".npz":
-            for name, one in zip(names, radiance, strict=True):
-                write_radiance(assembled / f"{name}.npz", mesh, one)
+            for path, one in files:
+                write_radiance(path, mesh, one)
         elif suffix == ".ply":
-            scale = min(mesh_exposure(mesh, one) for one in radiance)
-            for name, one in zip(names, radiance, strict=True):
-                write_coloured_mesh(assembled / f"{name}.ply", mesh, one, scale)
+            scale = min(exposure(_vertex_picture(mesh, one)) for one in radiance)
+            for path, one in files:
+                write_coloured_mesh(path, mesh, one, scale)
         else:
             assert camera is not None
-            scale = series_exposure(camera, radiance)
-            for name, one in zip(names, radiance, strict=True):
-                write_picture(assembled / f"{name}{suffix}", camera.picture(one), scale)
+            scale = _series_exposure(camera, radiance)
+            for path, one in files:
+                write_picture(path, camera.picture(one), scale)
 
 
-def series_exposure(camera: Camera, radiance: NDArray) -> float:
+def _series_exposure(camera: Camera, radiance: NDArray) -> float:
     """One exposure for all: that of the brightest."""
     return min(exposure(camera.picture(one)) for one in radiance)
 
 
 @contextmanager
-def _assembled(folder: str | Path) -> Iterator[Path]:
+def _complete_folder(folder: str | Path) -> Iterator[Path]:
     """A new folder whose files are moved to their place when the with-block ends well."""
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise UserError(f"{folder}: is a file; name a folder for several results")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as made:
-            yield Path(made)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as unfinished:
+            yield Path(unfinished)
             folder.mkdir(exist_ok=True)
-            for file in sorted(Path(made).iterdir()):
+            for file in sorted(Path(unfinished).iterdir()):
                 file.replace(folder / file.name)
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from None
@@ -112,9 +167,9 @@ def film_encoder() -> str:
     UserError
         There is none.
     """
-    found = shutil.which("ffmpeg")
-    if found:
-        return found
+    installed = shutil.which("ffmpeg")
+    if installed:
+        return installed
     try:
         import imageio_ffmpeg
 
@@ -134,21 +189,21 @@ def write_film(path: str | Path, camera: Camera, radiance: NDArray) -> None:
         There is no encoder, or it fails.
     """
     encoder = film_encoder()
-    scale = series_exposure(camera, radiance)
+    scale = _series_exposure(camera, radiance)
     # Encoders halve the resolution of colour: sides are even.
     height, width = (n - n % 2 for n in camera.alpha.shape)
     with atomic_output(path) as file, tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "film.mp4"
+        film = Path(folder) / "film.mp4"
         command = [
             encoder, "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size",
-            f"{width}x{height}", "-framerate", str(_FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(made),
+            f"{width}x{height}", "-framerate", str(_FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(film),
         ]  # fmt: skip
         frames = (to_srgb(camera.picture(one), scale)[:height, :width].tobytes() for one in radiance)
         run = subprocess.run(command, input=b"".join(frames), capture_output=True)
-        if run.returncode != 0 or not made.is_file():
+        if run.returncode != 0 or not film.is_file():
             said = run.stderr.decode(errors="replace").strip().splitlines()
             raise UserError(f"{path}: ffmpeg could not encode the film ({said[-1] if said else 'it says nothing'})")
-        file.write(made.read_bytes())
+        file.write(film.read_bytes())
 
 
 # --- Before the work -------------------------------------------------------------------------------------------------
@@ -161,7 +216,7 @@ def check_output(output: str, *inputs: str, several: bool) -> None:
         raise UserError(f"{output}: is one file for several results; name a folder, or one .npz or .mp4")
     if suffix == FILM:
         if not several:
-            raise UserError(f"{output}: a film needs several lights; give --turntable or several maps")
+            raise UserError(f"{output}: a film needs several lights; give `turntable` or several maps")
         film_encoder()
     elif suffix not in SUFFIXES:
         if not several:

@@ -1,4 +1,4 @@
-"""Radiance per vertex under an environment."""
+"""Radiance of the receivers under distant light."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import Transfer
+
+# Sampling noise, relative to the largest radiance: what is negative by less does not count.
+_NOISE = 0.01
 
 
 def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDArray[np.float32]:
@@ -32,34 +36,41 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
     UserError
         Lighting of another shape, or not finite.
     """
+    lights = _checked_lighting(lighting, transfer.bandlimit)
+    several = lights.reshape(-1, *lights.shape[-2:])
+    if isinstance(transfer, CompressedTransfer):
+        radiance = transfer_operator(transfer).apply(several)
+    else:
+        radiance = _apply_vectors(transfer.vectors, several.astype(np.float32))
+    albedo = transfer.mesh.receivers.albedo
+    if not np.all(albedo == 1.0):
+        radiance *= albedo
+    return radiance if lights.ndim == 3 else radiance[0]
+
+
+def _checked_lighting(lighting: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
     try:
         lights = np.asarray(lighting, dtype=np.float64)
     except (TypeError, ValueError):
         raise UserError("lighting must be numbers, as of project_environment") from None
-    wanted = (3, num_coefficients(transfer.bandlimit))
+    wanted = (3, num_coefficients(bandlimit))
     if lights.ndim not in (2, 3) or lights.shape[-2:] != wanted or lights.size == 0:
-        raise UserError(f"lighting must have shape {wanted} for bandlimit {transfer.bandlimit}, not {lights.shape}")
+        raise UserError(f"lighting must have shape {wanted} for bandlimit {bandlimit}, not {lights.shape}")
     if not np.all(np.isfinite(lights)):
         raise UserError("lighting must be finite; check the map that it was projected from")
-    several = lights.reshape(-1, *wanted)
-    if isinstance(transfer, CompressedTransfer):
-        radiance = transfer.operator.apply(several)
-    else:
-        radiance = _from_vectors(transfer, several.astype(np.float32))
-    if not np.all(transfer.mesh.albedo == 1.0):
-        radiance *= transfer.mesh.albedo
-    return radiance if lights.ndim == 3 else radiance[0]
+    return lights
 
 
-def _from_vectors(transfer: Transfer, lights: NDArray[np.float32]) -> NDArray[np.float32]:
-    count, channels, size = transfer.vectors.shape
+def _apply_vectors(vectors: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(B, V, 3) from vectors (V, channels, (L+1)²) and lights (B, 3, (L+1)²)."""
+    count, channels, size = vectors.shape
     if channels == 1:
-        radiance = (transfer.vectors[:, 0] @ lights.reshape(-1, size).T).reshape(count, len(lights), 3)
+        radiance = (vectors[:, 0] @ lights.reshape(-1, size).T).reshape(count, len(lights), 3)
     else:
-        radiance = np.einsum("vcm,bcm->vbc", transfer.vectors, lights, optimize=True)
+        radiance = np.einsum("vcm,bcm->vbc", vectors, lights, optimize=True)
     return np.moveaxis(radiance, 1, 0)
 
 
-def negative_part(radiance: NDArray) -> float:
-    """Part of the vertices with a channel below zero by more than sampling noise, 1 % of the largest radiance."""
-    return float(np.mean(radiance.min(axis=1) < -0.01 * float(radiance.max(initial=0.0))))
+def negative_fraction(radiance: NDArray) -> float:
+    """Fraction of the receivers whose radiance (V, 3) is below zero in a channel, by more than sampling noise."""
+    return float(np.mean(radiance.min(axis=1) < -_NOISE * float(radiance.max(initial=0.0))))

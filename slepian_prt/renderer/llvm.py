@@ -62,6 +62,7 @@ class Probe:
 
     @property
     def works(self) -> bool:
+        """Whether nothing failed."""
         return not self.failure
 
 
@@ -171,6 +172,7 @@ def _read_json(path: Path) -> dict[str, str]:
 
 
 def main() -> int:
+    """Print the path of a library that works; returns 0, or 1 if there is none."""
     path, tried = find()
     if path:
         print(path)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,8 +19,8 @@ from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene import materials
 from slepian_prt.scene.mesh import Mesh, read_mesh
 from slepian_prt.scene.scene import Part, Scene
-from slepian_prt.scene.sensors import view_of
-from slepian_prt.scene.shapes import Receiver, fewest_cuts, mitsuba_mesh, receiver
+from slepian_prt.scene.shapes import ReceivingShape, fewest_cuts, mitsuba_mesh, receiving_shape
+from slepian_prt.scene.view import View, view_of
 
 log = logging.getLogger(__name__)
 
@@ -73,111 +73,149 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
     low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
     diagonal = float(np.linalg.norm(high - low))
     origin, scale = 0.5 * (low + high), diagonal if diagonal > 0.0 else 1.0
-    shape = mitsuba_mesh(mi, replace(mesh, positions=(mesh.positions - origin) / scale))
     return Scene(
-        mi,
-        source,
-        mesh,
-        (Part(mesh.name, 0, len(mesh.positions)),),
-        origin,
-        scale,
-        (shape,),
-        mesh.faces,
-        (0,),
-        (has_materials,),
-        has_materials or bool(np.any(mesh.albedo != 1.0)),
-        None,
-        None,
-        None,
+        mi=mi,
+        path=source,
+        mesh=mesh,
+        parts=(Part(mesh.name, 0, len(mesh.positions)),),
+        origin=origin,
+        scale=scale,
+        shapes=(mitsuba_mesh(mi, replace(mesh, positions=(mesh.positions - origin) / scale)),),
+        faces=mesh.faces,
+        first_faces=(0,),
+        two_sided=(has_materials,),
+        has_materials=has_materials or bool(np.any(mesh.albedo != 1.0)),
+        view=None,
+        sensor=None,
+        environment=None,
     )
 
 
 # --- Mitsuba XML -----------------------------------------------------------------------------------------------------
 
 
+class _SortedShapes(NamedTuple):
+    """The shapes of a scene by what light does with them.
+
+    Attributes
+    ----------
+    receiving : list of ReceivingShape
+    occluders : list of Mitsuba shapes
+        Those that only cast shadows.
+    notes : list of str
+        What of them is not simulated.
+    """
+
+    receiving: list[ReceivingShape]
+    occluders: list[Any]
+    notes: list[str]
+
+
 def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
+    loaded = _load_xml(mi, path)
+    sensor, scene_view = _camera(mi, loaded.sensors(), view, path)
+    shapes = _sort_shapes(mi, loaded, path, toward_view=view is not None)
+    if not shapes.receiving:
+        listed = "; ".join(shapes.notes) or "it has no shapes"
+        raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
+    environment, other_lights = _lights(mi, loaded.emitters(), str(path))
+    meshes = [shape.mesh for shape in shapes.receiving]
+    counts = np.array([len(mesh.positions) for mesh in meshes])
+    offsets = np.cumsum(counts) - counts
+    face_counts = np.array([len(shape.faces) for shape in shapes.receiving])
+    faces = [shape.faces + offset for shape, offset in zip(shapes.receiving, offsets, strict=True)]
+    return Scene(
+        mi=mi,
+        path=str(path),
+        mesh=_joined(path.stem, meshes, offsets),
+        parts=tuple(
+            Part(mesh.name, int(first), int(n)) for mesh, first, n in zip(meshes, offsets, counts, strict=True)
+        ),
+        origin=np.zeros(3),
+        scale=1.0,
+        shapes=(*(shape.shape for shape in shapes.receiving), *shapes.occluders),
+        faces=np.concatenate(faces).astype(np.int32),
+        first_faces=tuple(int(first) for first in np.cumsum(face_counts) - face_counts),
+        two_sided=tuple(materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving),
+        has_materials=True,
+        view=scene_view,
+        sensor=sensor if scene_view is None else None,
+        environment=environment,
+        not_simulated=(*shapes.notes, *other_lights),
+    )
+
+
+def _load_xml(mi: Any, path: Path) -> Any:
     level = mi.log_level()
     try:
         mi.set_log_level(mi.LogLevel.Error)  # its warnings go to standard output, where the plan does
         # Unoptimised: merged shapes lose their names, and rectangles in them their resolution.
-        loaded = mi.load_file(str(path), optimize=False)
+        return mi.load_file(str(path), optimize=False)
     except Exception as error:  # whatever Mitsuba's parser and plugins raise
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); mend it there") from None
+        raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); correct it there") from None
     finally:
         mi.set_log_level(level)
-    sensor = _camera(loaded.sensors(), view, path)
-    seen_by = view_of(mi, sensor)
-    if view is not None and seen_by is None:
-        raise UserError(f"{path}: camera {view!r} is a {sensor.class_name()}; a view needs a plain perspective camera")
-    if sensor is not None and seen_by is None:
-        log.info(
-            "%s: camera '%s' is no plain perspective one; pictures of relight are taken by a camera of its own",
-            path,
-            sensor.id(),
-        )
-    box = loaded.bbox()
+
+
+def _sort_shapes(mi: Any, loaded: Any, path: Path, *, toward_view: bool) -> _SortedShapes:
+    box, shapes = loaded.bbox(), loaded.shapes()
     diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
-    if loaded.shapes() and not np.isfinite(diagonal):
-        raise UserError(f"{path}: its shapes have no finite size; mend their transforms")
-    receivers: list[Receiver] = []
-    occluders, notes = [], []
-    wanted = materials.reflects_diffusely if view is None else materials.reflects_toward_a_view
-    shapes = loaded.shapes()
+    if shapes and not np.isfinite(diagonal):
+        raise UserError(f"{path}: its shapes have no finite size; correct their transforms")
+    result = _SortedShapes([], [], [])
+    reflects = materials.reflects_toward_a_view if toward_view else materials.reflects_diffusely
     fewest = fewest_cuts(len(shapes))
     for index, shape in enumerate(shapes):
         name = shape.id() or f"shape_{index}"
         bsdf = shape.bsdf()
         if shape.class_name() in ("Instance", "ShapeGroup"):
-            notes.append(f"shape '{name}' (instances are left out altogether, their shadows too)")
+            result.notes.append(f"shape '{name}' (instances are left out altogether, their shadows too)")
             continue
         if shape.is_emitter():
-            notes.append(f"light emitted by shape '{name}'")
-        made = receiver(mi, shape, name, f"{path}: shape '{name}'", diagonal, fewest) if wanted(mi, bsdf) else None
-        if made is not None:
-            receivers.append(made)
-            notes += materials.left_out(mi, bsdf, name, view=view is not None)
+            result.notes.append(f"light emitted by shape '{name}'")
+        lit = reflects(mi, bsdf)
+        origin = f"{path}: shape '{name}'"
+        receiving = receiving_shape(mi, shape, name, origin, diagonal, fewest) if lit else None
+        if receiving is not None:
+            result.receiving.append(receiving)
+            result.notes.extend(materials.left_out(mi, bsdf, name, view=toward_view))
             continue
-        occluders.append(shape)
-        reason = "its material has no diffuse part" if not wanted(mi, bsdf) else "it has no vertices"
-        notes.append(f"light received by shape '{name}' ({reason}; it casts shadows only)")
-    if not receivers:
-        listed = "; ".join(notes) or "it has no shapes"
-        raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
-    environment, others = _lights(mi, loaded.emitters(), str(path))
-    meshes = [made.mesh for made in receivers]
-    counts = np.array([len(mesh.positions) for mesh in meshes])
-    offsets = np.cumsum(counts) - counts
-    face_counts = np.array([len(made.faces) for made in receivers])
-    merged = Mesh(
-        path.stem,
+        result.occluders.append(shape)
+        reason = "it has no vertices" if lit else "its material has no diffuse part"
+        result.notes.append(f"light received by shape '{name}' ({reason}; it casts shadows only)")
+    return result
+
+
+def _joined(name: str, meshes: Sequence[Mesh], offsets: Sequence[int]) -> Mesh:
+    """All meshes as one, the vertices of each from its offset on."""
+    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]
+    return Mesh(
+        name,
         np.concatenate([mesh.positions for mesh in meshes]),
         np.concatenate([mesh.normals for mesh in meshes]),
-        np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]).astype(np.int32),
+        np.concatenate(faces).astype(np.int32),
         np.concatenate([mesh.albedo for mesh in meshes]),
         tuple(note for mesh in meshes for note in mesh.notes),
     )
-    faces = [made.faces + offset for made, offset in zip(receivers, offsets, strict=True)]
-    return Scene(
-        mi,
-        str(path),
-        merged,
-        tuple(Part(mesh.name, int(first), int(n)) for mesh, first, n in zip(meshes, offsets, counts, strict=True)),
-        np.zeros(3),
-        1.0,
-        (*(made.shape for made in receivers), *occluders),
-        np.concatenate(faces).astype(np.int32),
-        tuple(int(first) for first in np.cumsum(face_counts) - face_counts),
-        tuple(materials.reflects_on_both_sides(mi, made.shape.bsdf()) for made in receivers),
-        True,
-        seen_by,
-        sensor if seen_by is None else None,
-        environment,
-        (*notes, *others),
-    )
 
 
-def _camera(sensors: Sequence[Any], view: str | int | None, path: Path) -> Any:
+def _camera(mi: Any, sensors: Sequence[Any], view: str | int | None, path: Path) -> tuple[Any, View | None]:
+    """The wanted camera, or without a wish the first if there is one; and it as a `View`, None for another kind."""
+    sensor = _wanted_sensor(sensors, view, path)
+    scene_view = view_of(mi, sensor)
+    if view is not None and scene_view is None:
+        raise UserError(f"{path}: camera {view!r} is a {sensor.class_name()}; a view needs a plain perspective camera")
+    if sensor is not None and scene_view is None:
+        log.info(
+            "%s: camera '%s' is no plain perspective one; pictures of relight are taken by a camera of its own",
+            path,
+            sensor.id(),
+        )
+    return sensor, scene_view
+
+
+def _wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: Path) -> Any:
     """The camera of that id or number; without one, the first, or None."""
     if view is None:
         return sensors[0] if sensors else None

@@ -41,7 +41,7 @@ def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
     notes = []
     if not view and has(flags.GlossyReflection):
         notes.append(
-            f"glossy reflection of shape '{name}' (--view simulates it; the diffuse part counts as Lambertian)"
+            f"glossy reflection of shape '{name}' (`view` simulates it; the diffuse part counts as Lambertian)"
         )
     if has(flags.DeltaReflection):
         notes.append(f"mirror reflection of shape '{name}'")
@@ -101,10 +101,10 @@ def diffuse_reflectance(
             values = np.array(shape.bsdf().eval_diffuse_reflectance(points)).T
     except Exception as error:  # whatever a texture plugin raises
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(f"{origin}: its reflectance cannot be evaluated ({reason}); mend its material") from None
+        raise UserError(f"{origin}: its reflectance cannot be evaluated ({reason}); correct its material") from None
     reflectance = np.broadcast_to(values, (len(normals), 3)).astype(np.float32)
     if not np.all(np.isfinite(reflectance)) or reflectance.min() < -_ROUNDING:
-        raise UserError(f"{origin}: its reflectance is negative or not finite; mend its material")
+        raise UserError(f"{origin}: its reflectance is negative or not finite; correct its material")
     if reflectance.max() > 1.0 + _ROUNDING:
         raise UserError(f"{origin}: its reflectance is {reflectance.max():.3g}, and no surface reflects more than 1")
     return np.clip(reflectance, 0.0, 1.0) * np.float32(_not_metal(mi, shape.bsdf()))

@@ -1,4 +1,4 @@
-"""Triangle meshes: read from files, checked, and mended where that is safe."""
+"""Triangle meshes: read from files, checked, and repaired where that is safe."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.receivers import Receivers
+from slepian_prt.summary import Summarised
 
 log = logging.getLogger(__name__)
 
@@ -30,8 +31,8 @@ _DEGENERATE = 1e-20
 _TWISTED = 0.01
 
 
-@dataclass(frozen=True)
-class Mesh:
+@dataclass(frozen=True, repr=False)
+class Mesh(Summarised):
     """A triangle mesh with a normal and an albedo at each vertex.
 
     Attributes
@@ -44,7 +45,7 @@ class Mesh:
     albedo : (V, 3) float32
         Diffuse reflectance per colour channel.
     notes : tuple of str
-        What was mended, with counts.
+        What was repaired, with counts.
     """
 
     name: str
@@ -58,6 +59,18 @@ class Mesh:
     def receivers(self) -> Receivers:
         """The vertices; those that no face uses receive no light."""
         return Receivers(self.positions, self.normals, self.albedo, edges(self.faces))
+
+    def _summary(self) -> dict[str, object]:
+        low, high = self.albedo.min(axis=0), self.albedo.max(axis=0)
+        shown = low[:1] if np.all(low == low[0]) else low
+        return {
+            "name": self.name,
+            "vertices": len(self.positions),
+            "faces": len(self.faces),
+            "size": " x ".join(f"{extent:.3g}" for extent in np.ptp(self.positions, axis=0)),
+            "albedo": "varies" if np.any(low != high) else ", ".join(f"{value:.3g}" for value in shown),
+            "notes": "; ".join(self.notes) or None,
+        }
 
 
 def read_mesh(path: str | Path) -> Mesh:
@@ -152,18 +165,37 @@ def make_mesh(
     return Mesh(name, p, unit, f.astype(np.int32), colour, tuple(notes))
 
 
+def half_edges(faces: NDArray) -> NDArray[np.int64]:
+    """(3 F, 2) sides of triangles (F, 3) along their winding: corners 0 to 1 of all of them, 1 to 2, 2 to 0."""
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+
+
 def edges(faces: NDArray) -> NDArray[np.int64]:
     """(E, 2) pairs of vertices that share an edge of triangles (F, 3), each once, the smaller index first."""
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    return _counted_edges(faces)[0]
+
+
+def border_vertices(faces: NDArray, count: int) -> NDArray[np.bool_]:
+    """(count,) True at vertices on the border of a surface: at the ends of an edge that only one face has."""
+    pairs, uses = _counted_edges(faces)
+    border = np.zeros(count, dtype=bool)
+    border[pairs[uses == 1]] = True
+    return border
+
+
+def _counted_edges(faces: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """`edges`, and how many faces have each."""
+    sides = half_edges(faces)
     low, high = np.sort(sides[sides[:, 0] != sides[:, 1]], axis=1).T
     count = int(faces.max(initial=0)) + 1
-    return np.stack(np.divmod(np.unique(low * count + high), count), axis=1)
+    keys, uses = np.unique(low * count + high, return_counts=True)
+    return np.stack(np.divmod(keys, count), axis=1), uses
 
 
 def _twice_in_one_direction(f: NDArray) -> int:
     """Edges that two faces run along in the same direction, which neighbours of one orientation never do."""
-    directed = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]).astype(np.int64)
-    keys = directed[:, 0] * (f.max() + 1) + directed[:, 1]
+    begin, end = half_edges(f).T
+    keys = begin * (f.max() + 1) + end
     return int(keys.size - np.unique(keys).size)
 
 

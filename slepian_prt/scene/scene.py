@@ -1,4 +1,4 @@
-"""A scene as transport sees it: receivers with vertices, and everything that casts shadows."""
+"""A scene as transport sees it: receivers of light, and everything that casts shadows."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.scene.mesh import Mesh
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.mesh import Mesh, border_vertices
+from slepian_prt.scene.receivers import Receivers
+from slepian_prt.scene.view import View
 
 # Where rays start above the surface, relative to the diagonal of the bounding box. From the vertex itself 41 % of the
 # rays of a convex icosphere are falsely blocked; from here none.
@@ -39,7 +40,7 @@ class Scene:
         Mitsuba, in the variant that the scene was loaded in.
     path : str
     mesh : Mesh
-        All receivers as one mesh, in world space.
+        What draws the receivers, which are its vertices: all receiving shapes as one, in world space.
     parts : tuple of Part
     origin : (3,), scale : float
         Mitsuba's geometry is ``(world - origin) / scale``: a mesh file is traced in a box of unit diagonal, because
@@ -80,6 +81,11 @@ class Scene:
     environment: Environment | None
     not_simulated: tuple[str, ...] = ()
 
+    @property
+    def receivers(self) -> Receivers:
+        """Where light is wanted: the vertices of the mesh."""
+        return self.mesh.receivers
+
     @cached_property
     def geometry(self) -> Any:
         """A Mitsuba scene of the shapes alone."""
@@ -87,8 +93,8 @@ class Scene:
 
     @property
     def traced_positions(self) -> NDArray[np.float64]:
-        """(V, 3) vertex positions in the space that Mitsuba traces in."""
-        return (self.mesh.positions - self.origin) / self.scale
+        """(V, 3) positions of the receivers in the space that Mitsuba traces in."""
+        return (self.receivers.positions - self.origin) / self.scale
 
     @property
     def occluders(self) -> tuple[Any, ...]:
@@ -97,17 +103,14 @@ class Scene:
 
     @cached_property
     def ray_offsets(self) -> NDArray[np.float64]:
-        """(V,) how far above each vertex its rays start, in the space that Mitsuba traces in.
+        """(V,) how far above each receiver its rays start, in the space that Mitsuba traces in.
 
-        Relative to the connected piece of surface that the vertex belongs to, so that a small model beside a large
+        Relative to the connected piece of surface that it belongs to, so that a small model beside a large
         floor keeps its shadows, but no less than a few units in the last place of its position in float32.
         """
         positions = self.traced_positions
-        faces = self.mesh.faces
-        links = coo_array(
-            (np.ones(2 * len(faces), dtype=np.int8), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())),
-            shape=(len(positions), len(positions)),
-        )
+        first, second = self.receivers.neighbours.T
+        links = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(len(positions), len(positions)))
         count, piece = connected_components(links, directed=False)
         low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
         np.minimum.at(low, piece, positions)
@@ -118,13 +121,12 @@ class Scene:
 
     @cached_property
     def ray_origins(self) -> NDArray[np.float64]:
-        """(V, 3) where the rays of each vertex start, in the space that Mitsuba traces in.
+        """(V, 3) where the rays of each receiver start, in the space that Mitsuba traces in.
 
         Above the surface; and at the border of a surface also a little inward, because the border of a wall often
         lies in the plane of the next one, which its rays would start in and never meet.
         """
-        normals = self.mesh.normals
-        positions = self.traced_positions
+        normals, positions = self.receivers.normals, self.traced_positions
         inward = _inward(positions, self.mesh.faces)
         inward -= np.einsum("ij,ij->i", inward, normals)[:, None] * normals
         length = np.linalg.norm(inward, axis=1, keepdims=True)
@@ -142,11 +144,7 @@ class Scene:
 
 def _inward(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
     """(V, 3) from vertices on the border of the surface towards the middle of their faces; zero elsewhere."""
-    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1).astype(np.int64)
-    keys, count = np.unique(sides[:, 0] * len(positions) + sides[:, 1], return_counts=True)
-    border = np.zeros(len(positions), dtype=bool)
-    single = keys[count == 1]
-    border[single // len(positions)] = border[single % len(positions)] = True
+    border = border_vertices(faces, len(positions))
     centers = positions[faces].mean(axis=1)
     inward = np.zeros_like(positions)
     for corner in range(3):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Receiver:
+class ReceivingShape:
     """A shape that light is computed on.
 
     Attributes
@@ -43,12 +43,29 @@ class Receiver:
     faces: NDArray[np.int64]
 
 
+class _Surface(NamedTuple):
+    """Triangles as they are given to Mitsuba.
+
+    Attributes
+    ----------
+    positions : (V, 3)
+    normals : (V, 3) or None
+    faces : (F, 3)
+    uv : (V, 2) or None
+    """
+
+    positions: NDArray
+    normals: NDArray | None
+    faces: NDArray
+    uv: NDArray | None
+
+
 def fewest_cuts(shapes: int) -> int:
     """Cuts along a shape that is not a mesh, at least: fewer where a scene has very many."""
     return max(12, min(_FEWEST_CUTS, round(_FEWEST_CUTS * math.sqrt(_MANY_SHAPES / max(shapes, 1)))))
 
 
-def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewest: int) -> Receiver | None:
+def receiving_shape(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewest: int) -> ReceivingShape | None:
     """The shape with vertices, or None for what cannot be given any (curves, implicit surfaces, instances).
 
     Parameters
@@ -65,32 +82,31 @@ def receiver(mi: Any, shape: Any, name: str, origin: str, diagonal: float, fewes
     UserError
     """
     kind = shape.class_name()
-    normals: NDArray | None
-    uv: NDArray | None
     if kind in _PARAMETRIC:
-        positions, normals, faces, uv = _parametric(mi, shape, kind, origin, diagonal, fewest)
+        surface = _parametric(mi, shape, kind, origin, diagonal, fewest)
     elif not shape.is_mesh():
         return None
     else:
-        positions, normals, faces, uv = _vertices(mi, shape)
-        if kind == "Cube" and normals is not None and uv is not None:
-            positions, normals, faces, uv = _subdivided(positions, normals, faces, uv, diagonal, fewest)
-        elif len(positions) < _COARSE:
+        surface = _of_mesh(mi, shape)
+        if kind == "Cube":
+            surface = _subdivided(surface, diagonal, fewest)
+        elif len(surface.positions) < _COARSE:
             log.info(
                 "%s has only %d vertices; light is computed at vertices, so subdivide it to see shadows on it",
                 origin,
-                len(positions),
+                len(surface.positions),
             )
-    own = kind in _PARAMETRIC or kind == "Cube"
-    if own and normals is not None:
+    positions, normals, faces, uv = surface
+    replaced = kind in _PARAMETRIC or kind == "Cube"
+    if replaced and normals is not None:
         faces = _along_normals(positions, normals, faces)  # a mirroring to_world turns them
-    if _turned(mi, shape, positions, normals, faces):
-        # Mitsuba flips the normals of what it meets, not those that it keeps at the vertices.
-        normals, faces, own = None if normals is None else -normals, faces[:, ::-1].copy(), True
+    if _is_flipped(mi, shape, positions, normals, faces):
+        # Mitsuba flips the normals of surface hits, not those that it keeps at the vertices.
+        normals, faces, replaced = None if normals is None else -normals, faces[:, ::-1].copy(), True
     mesh = make_mesh(positions, faces, normals=normals, name=name, origin=origin)
-    traced = _mesh(mi, shape.bsdf(), name, positions, mesh.normals, faces, uv) if own else shape
+    traced = _mesh(mi, shape.bsdf(), name, positions, mesh.normals, faces, uv) if replaced else shape
     albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
-    return Receiver(traced, Mesh(name, mesh.positions, mesh.normals, mesh.faces, albedo, mesh.notes), faces)
+    return ReceivingShape(traced, Mesh(name, mesh.positions, mesh.normals, mesh.faces, albedo, mesh.notes), faces)
 
 
 def mitsuba_mesh(mi: Any, mesh: Mesh) -> Any:
@@ -156,8 +172,8 @@ def _along_normals(positions: NDArray, normals: NDArray, faces: NDArray) -> NDAr
     return np.where(against[:, None], faces[:, ::-1], faces)
 
 
-def _turned(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, faces: NDArray) -> bool:
-    """Whether rays meet the shape's surface with the normal opposite to that of the faces or vertices given."""
+def _is_flipped(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, faces: NDArray) -> bool:
+    """Whether Mitsuba's normal at a surface hit is opposite to that of the faces or vertices given."""
     corner = positions[faces]
     turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     largest = int(np.argmax(np.einsum("ij,ij->i", turned, turned)))
@@ -167,12 +183,12 @@ def _turned(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None, fa
     size = float(np.linalg.norm(np.ptp(corner[largest], axis=0)))
     start = corner[largest].mean(axis=0) + size * towards
     ray = mi.Ray3f(mi.Point3f(start.tolist()), mi.Vector3f((-towards).tolist()))
-    met = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
-    return float(np.array(met.n).ravel() @ towards) < 0.0
+    hit = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
+    return float(np.array(hit.n).ravel() @ towards) < 0.0
 
 
-def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, NDArray | None]:
-    """Positions, normals, faces and texture coordinates of a Mitsuba mesh."""
+def _of_mesh(mi: Any, shape: Any) -> _Surface:
+    """What a Mitsuba mesh holds."""
     import drjit as dr
 
     vertex, face = dr.arange(mi.UInt32, shape.vertex_count()), dr.arange(mi.UInt32, shape.face_count())
@@ -180,7 +196,7 @@ def _vertices(mi: Any, shape: Any) -> tuple[NDArray, NDArray | None, NDArray, ND
     faces = np.array(shape.face_indices(face), dtype=np.int64).T
     normals = np.array(shape.vertex_normal(vertex), dtype=np.float64).T if shape.has_vertex_normals() else None
     uv = np.array(shape.vertex_texcoord(vertex), dtype=np.float32).T if shape.has_vertex_texcoords() else None
-    return positions, normals, faces, uv
+    return _Surface(positions, normals, faces, uv)
 
 
 # --- Shapes with a formula -------------------------------------------------------------------------------------------
@@ -212,14 +228,12 @@ def _on_cylinder(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
 _PARAMETRIC = {"Sphere": _on_sphere, "Rectangle": _on_rectangle, "Disk": _on_disk, "Cylinder": _on_cylinder}
 
 
-def _parametric(
-    mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fewest: int
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def _parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fewest: int) -> _Surface:
     """A grid over the shape's own parameters, so that textures stay where they are."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     linear, offset = matrix[:3, :3], matrix[:3, 3]
     if not np.all(np.isfinite(matrix)) or abs(np.linalg.det(linear)) <= 1e-12 * np.abs(linear).max() ** 3:
-        raise UserError(f"{origin}: its to_world flattens it to nothing; mend the transform")
+        raise UserError(f"{origin}: its to_world flattens it to nothing; correct the transform")
 
     def evaluate(uv: NDArray) -> tuple[NDArray, NDArray]:
         positions, normals = _PARAMETRIC[kind](uv[:, 0], uv[:, 1])
@@ -240,17 +254,18 @@ def _parametric(
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     faces = faces[area > 1e-4 * area.max()]  # at the poles triangles have no area but for rounding
     used, faces = np.unique(faces, return_inverse=True)  # a pole needs fewer vertices than the grid has there
-    return positions[used], normals[used], faces.reshape(-1, 3), uv[used]
+    return _Surface(positions[used], normals[used], faces.reshape(-1, 3), uv[used])
 
 
 def _cuts(length: float, diagonal: float, fewest: int) -> int:
     return int(np.clip(math.ceil(min(length / max(_FACE_SIZE * diagonal, 1e-300), 1e6)), fewest, _MOST_CUTS))
 
 
-def _subdivided(
-    positions: NDArray, normals: NDArray, faces: NDArray, uv: NDArray, diagonal: float, fewest: int
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+def _subdivided(surface: _Surface, diagonal: float, fewest: int) -> _Surface:
     """Every triangle cut into n² by interpolation; corners that were apart (hard edges) stay apart."""
+    positions, normals, faces, uv = surface
+    if normals is None or uv is None:
+        return surface
     corner = positions[faces]
     longest = float(np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max())
     n = max(2, math.ceil(_cuts(longest, diagonal, fewest) / 2))
@@ -273,4 +288,4 @@ def _subdivided(
         np.round(np.concatenate([in_box, *parts[1:]], axis=1), 5), axis=0, return_index=True, return_inverse=True
     )
     cut = (np.arange(len(faces))[:, None, None] * i.size + pattern).reshape(-1, 3)
-    return parts[0][first], parts[1][first], which.ravel()[cut], parts[2][first]
+    return _Surface(parts[0][first], parts[1][first], which.ravel()[cut], parts[2][first])

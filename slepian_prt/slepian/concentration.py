@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import UserError, check_bandlimit, check_directions, check_half_angle, check_terms
+from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer
 from slepian_prt.slepian.kernels import SecondMoment
-from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients, real_sh
+from slepian_prt.sphere.directions import check_directions
+from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
-from slepian_prt.sphere.regions import Region
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+from slepian_prt.summary import Summarised
 
 # Eigenvalues below this part of the largest are rounding; their eigenvectors are chosen by the second criterion.
 _NULL = 1e-28
@@ -29,8 +30,8 @@ _NULL = 1e-28
 _SMOOTH = 34.0
 
 
-@dataclass(frozen=True)
-class CapBasis:
+@dataclass(frozen=True, repr=False)
+class CapBasis(Summarised):
     """Functions concentrated in a cap, strongest first.
 
     Attributes
@@ -79,6 +80,20 @@ class CapBasis:
     def in_cap_frame(self) -> NDArray[np.float64]:
         """(K, (L+1)²): SH coefficients in the cap's own frame, one row per function."""
         return scatter_radial(self.radial, self.orders)
+
+    def _summary(self) -> dict[str, object]:
+        return {
+            "bandlimit": self.bandlimit,
+            "half_angle": self.half_angle,
+            "center": ", ".join(f"{value:.3g}" for value in self.center),
+            **summarise_functions(self.bandlimit, self.eigenvalues),
+        }
+
+
+def summarise_functions(bandlimit: int, eigenvalues: NDArray[np.float64]) -> dict[str, object]:
+    """How many of all functions a basis has, and the range of their eigenvalues."""
+    span = f"{eigenvalues[0]:.4g} to {eigenvalues[-1]:.2g}" if eigenvalues.size else None
+    return {"functions": f"{eigenvalues.size} of {num_coefficients(bandlimit)}", "eigenvalues": span}
 
 
 def scatter_radial(radial: NDArray, orders: NDArray) -> NDArray[np.float64]:
@@ -138,7 +153,7 @@ def cap_basis(
         raise UserError(f"threshold must be >= 0, not {threshold!r}")
     last_order = 0 if radially_symmetric else bandlimit
     if terms is not None:
-        terms = check_terms(terms, bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit))
+        terms = check_integer(terms, "terms", 1, bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit))
     if kernel is None:
         blocks, values, leakages = _plain_blocks(bandlimit, half_angle, last_order, threshold)
         return _merge(bandlimit, half_angle, axis, blocks, values, leakages, terms, threshold)
@@ -348,77 +363,3 @@ def _merge(
     return CapBasis(
         bandlimit, half_angle, center, (*blocks, *empty), orders[index], ranks[index], eigenvalues[index], leak
     )
-
-
-# --- Arbitrary regions -----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class RegionBasis:
-    """Slepian functions of a region of any shape, most concentrated first.
-
-    Attributes
-    ----------
-    bandlimit : int
-    functions : ((L+1)², K)
-        SH coefficients, one orthonormal column per function.
-    eigenvalues, leakages : (K,)
-        Concentrations λ and 1 - λ, each from its own side of the boundary.
-    """
-
-    bandlimit: int
-    functions: NDArray[np.float64]
-    eigenvalues: NDArray[np.float64]
-    leakages: NDArray[np.float64]
-
-    def __len__(self) -> int:
-        return self.eigenvalues.size
-
-
-def region_basis(bandlimit: int, region: Region, *, threshold: float | None = None) -> RegionBasis:
-    """Solve the concentration problem on a union or difference of caps, a polygon, or a mask.
-
-    Singular values of √w Y on a quadrature rule of the region, folded into a triangle chunk by chunk; the leakages
-    from the complement's rule in the same way. Dense: (L+1)⁶ operations, so meant for L up to about 50.
-
-    Parameters
-    ----------
-    bandlimit : int
-    region : from `cap_region` (and ``|``, ``&``, ``-``, ``~``), `polygon_region` or `mask_region`
-    threshold : float, optional
-        Only functions whose concentration is above it.
-
-    Raises
-    ------
-    UserError
-        A bad bandlimit; a region of no area.
-    """
-    bandlimit = check_bandlimit(bandlimit)
-    inside = _folded_samples(bandlimit, region)
-    if not inside.any():
-        raise UserError("region must have an area above zero, not 0")
-    outside = _folded_samples(bandlimit, ~region)
-    _, sigma, rows = np.linalg.svd(inside)
-    # Within the span of nearly equal concentrations (next to one) the complement tells functions apart.
-    functions = rows.T
-    leakages = np.sum((outside @ functions) ** 2, axis=0)
-    mostly_in = leakages < 0.5
-    concentrations = np.clip(np.where(mostly_in, 1.0 - leakages, sigma**2), 0.0, 1.0)
-    leakages = np.clip(np.where(mostly_in, leakages, 1.0 - concentrations), 0.0, 1.0)
-    strongest = np.argmax(np.abs(functions) > 0.5 * np.abs(functions).max(axis=0), axis=0)
-    functions = functions * np.where(functions[strongest, np.arange(len(sigma))] < 0.0, -1.0, 1.0)
-    keep = slice(None) if threshold is None else concentrations > threshold
-    return RegionBasis(bandlimit, functions[:, keep], concentrations[keep], leakages[keep])
-
-
-def _folded_samples(bandlimit: int, region: Region) -> NDArray[np.float64]:
-    """A square R with Rᵀ R the localisation matrix of the region."""
-    size = num_coefficients(bandlimit)
-    triangle = np.zeros((size, size))
-    directions, weights = region.rule(2 * bandlimit)
-    step = max(size, 4096)
-    for begin in range(0, len(weights), step):
-        chunk = slice(begin, begin + step)
-        samples = real_sh(bandlimit, directions[chunk]) * np.sqrt(weights[chunk])[:, None]
-        triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, samples]), mode="r"))
-    return triangle

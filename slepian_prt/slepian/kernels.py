@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import eval_legendre
 
 from slepian_prt.errors import UserError, check_bandlimit
-from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
+from slepian_prt.summary import summary_line
 
 
 def cosine_lobe(bandlimit: int, exponent: float = 1.0) -> NDArray[np.float64]:
@@ -98,6 +99,9 @@ class SecondMoment:
         """Trace of C₀: the mean squared norm of a transfer vector."""
         return float(sum((1 if m == 0 else 2) * np.sum(g * g) for m, g in enumerate(self.factors)))
 
+    def __repr__(self) -> str:
+        return summary_line("SecondMoment", {"bandlimit": self.bandlimit, "energy": self.energy})
+
 
 def zonal_moment(zonal: ArrayLike) -> SecondMoment:
     """C₀ = D y(z) y(z)ᵀ D of a zonal kernel with coefficients t_l: the case that has one known vector."""
@@ -117,7 +121,7 @@ def measured_moment(local_vectors: ArrayLike) -> SecondMoment:
         No vector, or a second axis that is not a square number.
     """
     x = np.asarray(local_vectors, dtype=np.float64)
-    bandlimit = math.isqrt(x.shape[-1]) - 1 if x.ndim == 2 else -1
+    bandlimit = bandlimit_of(x.shape[-1]) if x.ndim == 2 else -1
     if x.ndim != 2 or x.shape[0] == 0 or num_coefficients(bandlimit) != x.shape[1]:
         raise UserError(f"local_vectors must have shape (n, (L+1)^2) with n >= 1, not {x.shape}")
     l = np.arange(bandlimit + 1)

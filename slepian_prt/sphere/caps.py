@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from slepian_prt.errors import UserError, check_directions, check_half_angle
+from slepian_prt.errors import UserError, check_half_angle
+from slepian_prt.sphere.directions import check_directions
 
 
 class Cap(NamedTuple):

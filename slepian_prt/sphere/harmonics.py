@@ -6,12 +6,14 @@ Index ``l*l + l + m``; m > 0 goes with cos(mφ), m < 0 with sin(|m|φ); z is the
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from slepian_prt.errors import check_bandlimit, check_directions
+from slepian_prt.errors import check_bandlimit
+from slepian_prt.sphere.directions import check_directions
 
 # Directions evaluated at a time: all rows of one degree then fit the second-level cache up to L of about 50.
 _CHUNK = 512
@@ -20,6 +22,11 @@ _CHUNK = 512
 def num_coefficients(bandlimit: int) -> int:
     """M = (L+1)², the dimension of the space of functions of bandlimit L."""
     return (bandlimit + 1) ** 2
+
+
+def bandlimit_of(size: int) -> int:
+    """L of functions with (L+1)² coefficients, the inverse of `num_coefficients`; rounded down if there is none."""
+    return math.isqrt(size) - 1
 
 
 def degrees(bandlimit: int) -> NDArray[np.int64]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import operator
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_half_angle
+from slepian_prt.errors import check_half_angle, check_integer
 from slepian_prt.sphere.rotation import rotation_to
 
 
@@ -47,7 +46,7 @@ def gauss_legendre(n: int) -> IntervalRule:
     ValueError
         n is not a positive integer.
     """
-    n = _check_count(n)
+    n = check_integer(n, "n", 1)
     half = (n + 1) // 2
     k = np.arange(1, half + 1)
     # Tricomi's approximation; n = 1 has its only node at π/2.
@@ -128,7 +127,7 @@ def cap_rule(degree: int, half_angle: float, center: ArrayLike = (0.0, 0.0, 1.0)
     ------
     ValueError
     """
-    degree = _check_count(degree + 1, "degree + 1") - 1
+    degree = check_integer(degree, "degree", 0)
     nodes = cap_nodes(degree // 2 + 1, half_angle)
     azimuths = 2.0 * np.pi * np.arange(degree + 1) / (degree + 1)
     z, phi = np.repeat(nodes.z, azimuths.size), np.tile(azimuths, nodes.z.size)
@@ -145,7 +144,7 @@ def sphere_rule(degree: int) -> tuple[NDArray, NDArray]:
 
 def spherical_fibonacci(n: int) -> NDArray[np.float64]:
     """n near-uniform directions on S² (Keinert et al., SIGGRAPH Asia 2015), shape (n, 3), equal weights 4π/n."""
-    n = _check_count(n)
+    n = check_integer(n, "n", 1)
     z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
     return _on_spiral(z)
 
@@ -155,7 +154,7 @@ def hemisphere_fibonacci(n: int) -> NDArray[np.float64]:
 
     (1/π) ∫ f(ω) (ω_z)₊ dω ≈ mean of f over them. Sorted by elevation, the zenith first.
     """
-    n = _check_count(n)
+    n = check_integer(n, "n", 1)
     return _on_spiral(np.sqrt(1.0 - (np.arange(n) + 0.5) / n))
 
 
@@ -164,13 +163,3 @@ def _on_spiral(z: NDArray) -> NDArray[np.float64]:
     phi = golden_angle * np.arange(z.size)
     sine = np.sqrt(np.maximum(0.0, (1.0 - z) * (1.0 + z)))
     return np.column_stack([sine * np.cos(phi), sine * np.sin(phi), z])
-
-
-def _check_count(n: int, name: str = "n") -> int:
-    try:
-        value = operator.index(n)
-    except TypeError:
-        raise UserError(f"{name} must be a positive integer, not {n!r}") from None
-    if value < 1:
-        raise UserError(f"{name} must be a positive integer, not {n!r}")
-    return value

@@ -16,7 +16,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_directions, check_half_angle
+from slepian_prt.errors import UserError, check_half_angle
+from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.quadrature import gauss_legendre
 
 _TURN = 2.0 * math.pi

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh_tridiagonal
 
-from slepian_prt.errors import UserError, check_directions
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.errors import UserError
+from slepian_prt.sphere.directions import check_directions
+from slepian_prt.sphere.harmonics import bandlimit_of, num_coefficients
 
 
 def rotation_to(center: ArrayLike) -> NDArray[np.float64]:
@@ -70,7 +71,7 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[Any]:
     dtype = np.dtype(np.float32 if c.dtype == np.float32 else np.float64)
     c = c.astype(dtype, copy=False)
     r = np.asarray(rotation, dtype=np.float64)
-    bandlimit = round(np.sqrt(c.shape[-1])) - 1 if c.ndim else -1
+    bandlimit = bandlimit_of(c.shape[-1]) if c.ndim else -1
     if c.ndim == 0 or num_coefficients(bandlimit) != c.shape[-1]:
         raise UserError(f"coefficients must have a last axis of (L+1)^2 entries, not shape {c.shape}")
     alpha, beta, gamma = _euler_zyz(r)

@@ -1,7 +1,7 @@
 """Shared direction sets over the hemisphere, with exact tables for the shapes that adaptive visibility finds.
 
 Directions about the normal are points of the unit disk (x, y of the unit vector): the cosine-weighted measure of the
-hemisphere, (n·ω)₊ dω/π, is the uniform one on the disk (the Nusselt analogue). A net of nodes is triangulated there.
+hemisphere, (n·ω)₊ dω/π, is the uniform one on the disk (the Nusselt analogue). The nodes are triangulated there.
 Visibility is constant on most triangles. On an edge whose ends disagree, two bisections bracket where visibility
 changes to a quarter of the edge, and within a triangle the boundary is taken as straight (marching triangles). That
 leaves few distinct shapes, and the integrals of all spherical harmonics over them are tabulated once, so that the
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, cKDTree
 
+from slepian_prt.scene.mesh import half_edges
 from slepian_prt.scene.receivers import morton
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
@@ -69,7 +70,7 @@ class DirectionSet:
         return len(self.points)
 
     @cached_property
-    def directions(self) -> NDArray[np.float64]:
+    def vectors(self) -> NDArray[np.float64]:
         """(n + 3 E, 3) unit vectors: the nodes, then a quarter, half and three quarters along each edge."""
         begin, end = self.points[self.edges[:, 0]], self.points[self.edges[:, 1]]
         along = np.array([0.25, 0.5, 0.75])[None, :, None]
@@ -85,7 +86,7 @@ class DirectionSet:
         return np.asarray(weights, dtype=np.float64)
 
     def along_edge(self, edge: NDArray, quarter: NDArray | int) -> NDArray:
-        """Index into ``directions`` of the point that is 1, 2 or 3 quarters along an edge."""
+        """Index into ``vectors`` of the point that is 1, 2 or 3 quarters along an edge."""
         return self.size + 3 * edge + quarter - 1
 
     @cached_property
@@ -122,14 +123,13 @@ class DirectionSet:
 
 @lru_cache(maxsize=4)
 def direction_set(nodes: int) -> DirectionSet:
-    """A net of ``nodes`` directions about z, distributed evenly under the cosine."""
+    """A set of ``nodes`` directions about z, distributed evenly under the cosine."""
     points = _relaxed(max(nodes, SMALLEST_SET))
     points = points[np.argsort(morton(points), kind="stable")]
     triangulation = Delaunay(points)
-    triangles = triangulation.simplices
-    sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    sides = np.sort(half_edges(triangulation.simplices), axis=1)
     edges, which = np.unique(sides, axis=0, return_inverse=True)
-    return DirectionSet(triangulation, edges.astype(np.int64), which.reshape(3, -1).T.copy())
+    return DirectionSet(triangulation, edges, which.reshape(3, -1).T.copy())
 
 
 def raise_to_sphere(points: NDArray) -> NDArray[np.float64]:
@@ -138,9 +138,9 @@ def raise_to_sphere(points: NDArray) -> NDArray[np.float64]:
 
 
 @lru_cache(maxsize=2)
-def _tables(net: DirectionSet, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    rule, triangle, barycentric = net._rule
-    count, shapes = len(net.triangles), 3 * QUARTERS * QUARTERS
+def _tables(directions: DirectionSet, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    rule, triangle, barycentric = directions._rule
+    count, shapes = len(directions.triangles), 3 * QUARTERS * QUARTERS
     rows, columns = [], []
     middles = (np.arange(QUARTERS) + 0.5) / QUARTERS
     for k in range(3):
@@ -167,9 +167,9 @@ def _tables(net: DirectionSet, bandlimit: int) -> tuple[NDArray[np.float32], NDA
     share = np.bincount(triangle, minlength=count)[:, None] / len(rule)
     triangles += share * (exact - triangles.sum(axis=0))
     corners -= np.repeat((triangles / 3.0).astype(np.float32), shapes, axis=0)
-    nodes = np.zeros((net.size, size))
+    nodes = np.zeros((directions.size, size))
     for k in range(3):
-        np.add.at(nodes, net.triangles[:, k], triangles / 3.0)
+        np.add.at(nodes, directions.triangles[:, k], triangles / 3.0)
     return nodes.astype(np.float32), corners
 
 

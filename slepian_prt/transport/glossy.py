@@ -10,7 +10,6 @@ heuristic (Veach & Guibas 1995) joins them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,11 +19,14 @@ from slepian_prt.errors import UserError
 from slepian_prt.scene.materials import surface_points
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
-from slepian_prt.scene.sensors import View
+from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh
-from slepian_prt.transport.visibility import in_blocks, turned_frames
+from slepian_prt.transport.effects import SIMULATED, Plan
+from slepian_prt.transport.estimator import Estimator, TransferBlock, cut_pieces, receivers_per_block
+from slepian_prt.transport.hemisphere import turned_frames, upload_frames
+from slepian_prt.transport.settings import TransportSettings
 
 _RAYS_PER_BLOCK = 1 << 19
 _PILOT_VERTICES, _PILOT_SAMPLES = 256, 256
@@ -33,34 +35,17 @@ _BINS = 512
 _SPREAD = 0.1
 
 
-class ViewTransfer(NamedTuple):
-    """Transfer toward a camera.
+class _ViewSamples(NamedTuple):
+    """Receivers, which of them face the camera (their places), and the weights of both direction sets for those."""
 
-    Attributes
-    ----------
-    vectors : (V, channels, (L+1)²) float32
-        With the reflectance; zero where the camera sees the back.
-    axes : (V, 3)
-        Reflection direction of the view about the normal; zero where ``vectors`` are.
-    rays : int
-    """
-
-    vectors: NDArray[np.float32]
-    axes: NDArray[np.float64]
+    vertices: NDArray[np.int64]
+    facing: NDArray[np.int64]
+    weights: tuple[NDArray[np.float32], NDArray[np.float32]]
     rays: int
 
 
-def view_transfer(
-    scene: Scene,
-    view: View,
-    bandlimit: int,
-    samples: int,
-    seed: int,
-    *,
-    shadows: bool = True,
-    advance: Callable[[int], None] = lambda _: None,
-) -> ViewTransfer:
-    """Transfer vectors of all vertices toward a camera, for direct light.
+class ViewTransfer(Estimator[_ViewSamples]):
+    """Transfer toward a camera for direct light, with the reflectance; zero at receivers whose back it sees.
 
     Parameters
     ----------
@@ -68,107 +53,114 @@ def view_transfer(
     view : View
     bandlimit : int
     samples : int
-        Rays per vertex, half about the normal and half about the reflection direction.
+        Rays per receiver, half about the normal and half about the reflection direction.
     seed : int
     shadows : bool
-    advance : callable
-        Told the number of vertices finished since its last call.
+
+    Raises
+    ------
+    UserError
+        The camera sees no front of any surface.
     """
-    eye = np.array(view.to_world)[:3, 3]
-    toward = eye - scene.mesh.positions
-    toward /= np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), 1e-300)
-    normals = scene.mesh.normals
-    cosine = np.einsum("ij,ij->i", normals, toward)
-    facing = np.flatnonzero(cosine > 1e-4)
-    if facing.size == 0:
-        raise UserError(f"{scene.path}: camera '{view.name}' sees no front of any surface; move it or flip the faces")
-    axes = np.zeros_like(normals)
-    axes[facing] = 2.0 * cosine[facing, None] * normals[facing] - toward[facing]
-    tracer = _Tracer(scene, toward, axes, facing, bandlimit, samples, seed, shadows)
-    vectors = np.zeros((len(normals), 3, num_coefficients(bandlimit)), dtype=np.float32)
-    advance(len(normals) - facing.size)
-    block = max(1, _RAYS_PER_BLOCK // tracer.half)
-    facing = facing[np.argsort(morton(scene.traced_positions[facing]), kind="stable")]
 
-    def project(_: int, chosen: NDArray, seen: tuple[NDArray, NDArray]) -> None:
-        vectors[chosen] = tracer.project(chosen, *seen)
-
-    blocks = [facing[begin : begin + block] for begin in range(0, facing.size, block)]
-    in_blocks(blocks, tracer.weights, project, advance)
-    gray = np.abs(vectors - vectors[:, :1]).max(initial=0.0) <= 1e-6 * np.abs(vectors).max(initial=0.0)
-    return ViewTransfer(vectors[:, :1].copy() if gray else vectors, axes, tracer.rays)
-
-
-class _Tracer:
-    """The two direction sets with their tables, and how much of each direction's light goes to the camera."""
+    channels = 3
 
     def __init__(
-        self,
-        scene: Scene,
-        toward: NDArray,
-        axes: NDArray,
-        facing: NDArray,
-        bandlimit: int,
-        samples: int,
-        seed: int,
-        shadows: bool,
+        self, scene: Scene, view: View, bandlimit: int, samples: int, seed: int, *, shadows: bool = True
     ) -> None:
         mi = scene.mi
-        self.mi, self.shadows, self.rays = mi, shadows, 0
-        self.geometry = scene.geometry
-        self._origins, self._normals, self._axes = scene.ray_origins, scene.mesh.normals, axes
-        self._parts = _Parts(scene, toward)
+        self.scene, self.bandlimit = scene, bandlimit
+        self._mi, self._shadows, self._rays = mi, shadows, 0
+        self._half = max(4, samples // 2)
+        normals = scene.receivers.normals
+        outgoing = np.array(view.to_world)[:3, 3] - scene.receivers.positions
+        outgoing /= np.maximum(np.linalg.norm(outgoing, axis=1, keepdims=True), 1e-300)
+        cosine = np.einsum("ij,ij->i", normals, outgoing)
+        self._is_facing = cosine > 1e-4
+        if not self._is_facing.any():
+            raise UserError(
+                f"{scene.path}: camera '{view.name}' sees no front of any surface; move it or flip the faces"
+            )
+        self._axes = np.where(self._is_facing[:, None], 2.0 * cosine[:, None] * normals - outgoing, 0.0)
+        self._bsdfs = _ReceiverBSDFs(scene, outgoing)
         rng = np.random.default_rng(seed)
-        self._turns = rng.random((2, len(axes))) * 2.0 * math.pi
-        self.half = max(4, samples // 2)
-        lobe = _measured_lobe(self._parts, axes, facing, rng)
-        self._density = mi.Float(lobe.density.astype(np.float32))
-        sets = [hemisphere_fibonacci(self.half), lobe.directions(self.half)]
+        self._turns = rng.random((2, len(normals))) * 2.0 * math.pi
+        density = _measured_density(self._bsdfs, self._axes, np.flatnonzero(self._is_facing), rng)
+        self._density = mi.Float(density.astype(np.float32))
+        # About the normals, and about the reflection directions.
+        sets = [hemisphere_fibonacci(self._half), _directions_of_density(density, self._half)]
         sets = [d[np.argsort(morton(d), kind="stable")] for d in sets]
+        self._set_axes = (normals, self._axes)
         self._sets = [mi.Vector3f(d.T.astype(np.float32)) for d in sets]
-        self._tables = [(real_sh(bandlimit, d) / self.half).astype(np.float32) for d in sets]
+        self._tables = [(real_sh(bandlimit, d) / self._half).astype(np.float32) for d in sets]
 
-    def weights(self, vertices: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(n, 3, half) of both sets: V f (n·ω)₊ over the density of the two sets together."""
-        return self._weights(vertices, 0), self._weights(vertices, 1)
+    @classmethod
+    def planned(cls, scene: Scene, settings: TransportSettings, plan: Plan) -> ViewTransfer:
+        """As a plan with a view wants it."""
+        assert plan.view is not None
+        shadows = plan.shadows.verdict == SIMULATED
+        return cls(scene, plan.view, settings.bandlimit, settings.samples, settings.seed, shadows=shadows)
 
-    def project(self, vertices: NDArray, cosine: NDArray, lobe: NDArray) -> NDArray[np.float32]:
-        """(n, 3, (L+1)²) in the world frame."""
-        result = np.zeros((vertices.size, 3, self._tables[0].shape[1]), dtype=np.float32)
-        for which, values in enumerate((cosine, lobe)):
-            local = (values.reshape(-1, self.half) @ self._tables[which]).reshape(vertices.size, 3, -1)
-            result += rotate_sh(local, self._frames(vertices, which)[:, None])
-        return result
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(V, 3) reflection directions of the view about the normals; zero at receivers whose back the camera sees."""
+        return self._axes
 
-    def _frames(self, vertices: NDArray, which: int) -> NDArray[np.float64]:
+    @property
+    def rays(self) -> int:
+        """Number traced so far."""
+        return self._rays
+
+    @property
+    def block_size(self) -> int:
+        """Receivers that are traced at a time."""
+        return receivers_per_block(self._half, _RAYS_PER_BLOCK, self.channels * num_coefficients(self.bandlimit))
+
+    def pieces(self) -> list[NDArray[np.int64]]:
+        """All receivers, in pieces of about as many rays."""
+        return cut_pieces(self.scene, self._is_facing, self.block_size)
+
+    def trace(self, vertices: NDArray) -> _ViewSamples:
+        """Weigh the light of each direction of both sets, for those of the receivers that face the camera."""
+        before, facing = self._rays, np.flatnonzero(self._is_facing[vertices])
+        chosen = vertices[facing]
+        weights = self._weights(chosen, 0), self._weights(chosen, 1)
+        return _ViewSamples(vertices, facing, weights, self._rays - before)
+
+    def project(self, samples: _ViewSamples) -> TransferBlock:
+        """The weights of both sets as transfer vectors."""
+        vertices, facing = samples.vertices, samples.facing
+        vectors = np.zeros((vertices.size, 3, self._tables[0].shape[1]), dtype=np.float32)
+        for number, weights in enumerate(samples.weights):
+            local = (weights.reshape(-1, self._half) @ self._tables[number]).reshape(facing.size, 3, -1)
+            vectors[facing] += rotate_sh(local, self._frames(vertices[facing], number)[:, None])
+        return TransferBlock(vertices, vectors, np.zeros(vertices.size, dtype=np.float32), samples.rays)
+
+    def _frames(self, vertices: NDArray, number: int) -> NDArray[np.float64]:
         """Rotations that take z to the axis of a direction set, after a turn about it."""
-        return turned_frames((self._normals, self._axes)[which][vertices], self._turns[which, vertices])
+        return turned_frames(self._set_axes[number][vertices], self._turns[number, vertices])
 
-    def _weights(self, vertices: NDArray, which: int) -> NDArray[np.float32]:
+    def _weights(self, vertices: NDArray, number: int) -> NDArray[np.float32]:
+        """(n, 3, half) of one of the sets: V f (n·ω)₊ over the density of both sets together."""
         import drjit as dr
 
-        mi, half = self.mi, self.half
-        frames = self._frames(vertices, which)
-        x, y, z = (mi.Vector3f(frames[:, :, axis].T.astype(np.float32)) for axis in range(3))
+        mi, half = self._mi, self._half
+        if vertices.size == 0:
+            return np.zeros((0, 3, half), dtype=np.float32)
         lane = dr.arange(mi.UInt32, vertices.size * half)
         place = lane // dr.opaque(mi.UInt32, half)
-        local = dr.gather(mi.Vector3f, self._sets[which], lane - place * dr.opaque(mi.UInt32, half))
-        outward = (
-            dr.gather(mi.Vector3f, x, place) * local.x
-            + dr.gather(mi.Vector3f, y, place) * local.y
-            + dr.gather(mi.Vector3f, z, place) * local.z
-        )
-        normal = self._gathered(self._normals, vertices, place)
-        above = dr.dot(normal, outward)
-        origin = mi.Point3f(self._gathered(self._origins, vertices, place))
+        local = dr.gather(mi.Vector3f, self._sets[number], lane - place * dr.opaque(mi.UInt32, half))
+        outward = upload_frames(mi, self._frames(vertices, number))(place, local)
+        above = dr.dot(self._gathered(self.scene.receivers.normals, vertices, place), outward)
         alive = above > 0.0
-        if self.shadows:
-            self.rays += vertices.size * half
-            alive &= ~self.geometry.ray_test(mi.Ray3f(origin, outward), alive)
+        if self._shadows:
+            self._rays += vertices.size * half
+            origin = mi.Point3f(self._gathered(self.scene.ray_origins, vertices, place))
+            alive &= ~self.scene.geometry.ray_test(mi.Ray3f(origin, outward), alive)
         angle = dr.dot(self._gathered(self._axes, vertices, place), outward)
         bin = dr.clip(mi.UInt32(dr.safe_acos(angle) * (_BINS / math.pi)), 0, _BINS - 1)
         density = 0.5 * (dr.maximum(above, 0.0) / math.pi + dr.gather(mi.Float, self._density, bin))
-        reflected = self._parts.evaluate(vertices, place, outward, alive)
+        reflected = self._bsdfs.evaluate(vertices, place, outward, alive)
         # Each set holds half of the samples, and its table divides by their number already.
         weight = dr.select(alive, reflected * (0.5 / density), 0.0)
         return np.ascontiguousarray(np.array(weight).reshape(3, vertices.size, half).transpose(1, 0, 2))
@@ -176,10 +168,16 @@ class _Tracer:
     def _gathered(self, values: NDArray, vertices: NDArray, place: Any) -> Any:
         import drjit as dr
 
-        return dr.gather(self.mi.Vector3f, self.mi.Vector3f(values[vertices].T.astype(np.float32)), place)
+        return dr.gather(self._mi.Vector3f, self._mi.Vector3f(values[vertices].T.astype(np.float32)), place)
 
 
-class _Parts:
+def merge_equal_channels(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Transfer vectors (V, channels, M) with one channel if all are the same to rounding."""
+    gray = np.abs(vectors - vectors[:, :1]).max(initial=0.0) <= 1e-6 * np.abs(vectors).max(initial=0.0)
+    return vectors[:, :1].copy() if gray and vectors.shape[1] > 1 else vectors
+
+
+class _ReceiverBSDFs:
     """The BSDFs of all receivers at their vertices, with the direction to the camera set."""
 
     def __init__(self, scene: Scene, toward: NDArray) -> None:
@@ -189,15 +187,15 @@ class _Parts:
         self.shapes = scene.shapes[: len(scene.parts)]
         self.points = []
         for part, shape, first_face in zip(scene.parts, self.shapes, scene.first_faces, strict=False):
-            own = slice(part.first, part.first + part.count)
+            vertices = slice(part.first, part.first + part.count)
             last = first_face + shape.face_count()
             faces = scene.faces[first_face:last] - part.first
-            positions, normals = scene.traced_positions[own], scene.mesh.normals[own]
+            positions, normals = scene.traced_positions[vertices], scene.receivers.normals[vertices]
             point = surface_points(mi, shape, positions, normals, faces)
-            point.wi = point.sh_frame.to_local(mi.Vector3f(toward[own].T.astype(np.float32)))
+            point.wi = point.sh_frame.to_local(mi.Vector3f(toward[vertices].T.astype(np.float32)))
             self.points.append(point)
 
-    def of(self, vertices: NDArray) -> NDArray[np.int64]:
+    def part_of(self, vertices: NDArray) -> NDArray[np.int64]:
         """Which part each vertex belongs to."""
         return np.searchsorted(self.first, vertices, side="right") - 1
 
@@ -206,7 +204,7 @@ class _Parts:
         import drjit as dr
 
         mi = self.mi
-        parts = self.of(vertices)
+        parts = self.part_of(vertices)
         total = dr.zeros(mi.Spectrum, dr.width(outward))
         for number in np.unique(parts):
             chosen = active & (dr.gather(mi.UInt32, mi.UInt32(parts.astype(np.uint32)), place) == int(number))
@@ -222,7 +220,7 @@ class _Parts:
         import drjit as dr
 
         mi = self.mi
-        parts, directions, weights = self.of(vertices), [], []
+        parts, directions, weights = self.part_of(vertices), [], []
         for number in np.unique(parts):
             chosen = np.repeat(vertices[parts == number] - self.first[number], count)
             point = dr.gather(mi.SurfaceInteraction3f, self.points[number], mi.UInt32(chosen.astype(np.uint32)))
@@ -237,38 +235,41 @@ class _Parts:
         return np.concatenate(directions), np.concatenate(weights)
 
 
-class _Lobe(NamedTuple):
-    """A density in the angle from an axis, per solid angle, constant on equal steps of the angle."""
-
-    density: NDArray[np.float64]
-
-    def directions(self, count: int) -> NDArray[np.float64]:
-        """Directions about z of that density, (count, 3), on a golden spiral."""
-        edges = np.linspace(0.0, math.pi, _BINS + 1)
-        areas = 2.0 * math.pi * -np.diff(np.cos(edges))
-        cumulative = np.concatenate([[0.0], np.cumsum(self.density * areas)])
-        level = (np.arange(count) + 0.5) / count * cumulative[-1]
-        index = np.clip(np.searchsorted(cumulative, level, side="right") - 1, 0, _BINS - 1)
-        part = (level - cumulative[index]) / np.maximum(cumulative[index + 1] - cumulative[index], 1e-300)
-        z = np.cos(edges[index]) + part * (np.cos(edges[index + 1]) - np.cos(edges[index]))
-        phi = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(count)
-        sine = np.sqrt(np.maximum(0.0, 1.0 - z * z))
-        return np.column_stack([sine * np.cos(phi), sine * np.sin(phi), z])
+# --- Densities in the angle from an axis, per solid angle, constant on equal steps of the angle ----------------------
 
 
-def _measured_lobe(parts: _Parts, axes: NDArray, facing: NDArray, rng: np.random.Generator) -> _Lobe:
+def _areas() -> NDArray[np.float64]:
+    """Solid angles of the steps."""
+    return 2.0 * math.pi * -np.diff(np.cos(np.linspace(0.0, math.pi, _BINS + 1)))
+
+
+def _directions_of_density(density: NDArray, count: int) -> NDArray[np.float64]:
+    """Directions about z of a density, (count, 3), on a golden spiral."""
+    edges = np.linspace(0.0, math.pi, _BINS + 1)
+    cumulative = np.concatenate([[0.0], np.cumsum(density * _areas())])
+    level = (np.arange(count) + 0.5) / count * cumulative[-1]
+    index = np.clip(np.searchsorted(cumulative, level, side="right") - 1, 0, _BINS - 1)
+    part = (level - cumulative[index]) / np.maximum(cumulative[index + 1] - cumulative[index], 1e-300)
+    z = np.cos(edges[index]) + part * (np.cos(edges[index + 1]) - np.cos(edges[index]))
+    phi = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(count)
+    sine = np.sqrt(np.maximum(0.0, 1.0 - z * z))
+    return np.column_stack([sine * np.cos(phi), sine * np.sin(phi), z])
+
+
+def _measured_density(
+    bsdfs: _ReceiverBSDFs, axes: NDArray, facing: NDArray, rng: np.random.Generator
+) -> NDArray[np.float64]:
     """How far from the reflection direction the light comes from that a pilot of vertices sends to the camera."""
     pilot = rng.choice(facing, min(_PILOT_VERTICES, facing.size), replace=False)
-    pilot = pilot[np.argsort(parts.of(pilot), kind="stable")]
-    directions, weights = parts.sample(pilot, _PILOT_SAMPLES, rng)
+    pilot = pilot[np.argsort(bsdfs.part_of(pilot), kind="stable")]
+    directions, weights = bsdfs.sample(pilot, _PILOT_SAMPLES, rng)
     angle = np.arccos(np.clip(np.einsum("ij,ij->i", directions, np.repeat(axes[pilot], _PILOT_SAMPLES, axis=0)), -1, 1))
-    found, edges = np.histogram(angle, _BINS, (0.0, math.pi), weights=weights)
-    areas = 2.0 * math.pi * -np.diff(np.cos(edges))
+    histogram, _ = np.histogram(angle, _BINS, (0.0, math.pi), weights=weights)
     # Smoothed over a few bins, more where there is little: the shape matters, not its noise.
     kernel = np.exp(-0.5 * (np.arange(-12, 13) / 4.0) ** 2)
-    padded = np.pad(found, 12, mode="reflect")
+    padded = np.pad(histogram, 12, mode="reflect")
     mass = np.convolve(padded, kernel / kernel.sum(), mode="valid")
     total = float(mass.sum())
     spread = 1.0 / (4.0 * math.pi)
-    measured = mass / (total * areas) if total > 0.0 else np.full(_BINS, spread)
-    return _Lobe((1.0 - _SPREAD) * measured + _SPREAD * spread)
+    measured = mass / (total * _areas()) if total > 0.0 else np.full(_BINS, spread)
+    return (1.0 - _SPREAD) * measured + _SPREAD * spread

@@ -9,13 +9,16 @@ import pytest
 import trimesh
 
 from slepian_prt.compression import checkpoint as stores
-from slepian_prt.compression.compressed import load
+from slepian_prt.compression.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, precompute_compressed
 from slepian_prt.errors import UserError
-from slepian_prt.transport.transfer import TransportSettings, precompute
-from slepian_prt.transport.visibility import DirectTransfer
+from slepian_prt.relighting.operator import transfer_operator
+from slepian_prt.transport.direct import DirectTransfer
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
+from tests.numerics import assert_exact, assert_rounded
 
 
 @pytest.fixture(autouse=True)
@@ -28,14 +31,14 @@ def cache(tmp_path, monkeypatch):
 def block(rng, size: int, rays: int) -> stores.Block:
     return stores.Block(
         np.arange(size, dtype=np.int32),
-        rng.random((size, 3), dtype=np.float32),
+        stores.BlockStatistics(*rng.random((3, size), dtype=np.float32)),
         rng.random(7 * size, dtype=np.float32),
         rays,
     )
 
 
 def same(a: stores.Block, b: stores.Block) -> bool:
-    return all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+    return all(np.asarray(x).tobytes() == np.asarray(y).tobytes() for x, y in zip(a, b, strict=True))
 
 
 class Killed(BaseException):
@@ -59,11 +62,11 @@ def test_blocks_of_a_job_that_was_killed_are_kept(cache, rng):
     blocks = {number: block(rng, 5 + number, 10 * number) for number in (3, 1, 7)}
     killed_after(blocks)
     with stores.journal("job") as journal:
-        assert journal.found == 3
+        assert len(dict(journal)) == 3
         assert all(same(blocks[number], content) for number, content in journal)
         vertices, coefficients = journal.part(7, slice(2, 5), slice(14, 35))
-        np.testing.assert_array_equal(vertices, [2, 3, 4])
-        np.testing.assert_array_equal(coefficients, blocks[7].coefficients[14:35])
+        assert vertices.tolist() == [2, 3, 4]
+        assert_exact(coefficients, blocks[7].coefficients[14:35], because="a copy")
     assert list(cache.iterdir()) == []  # the job is done
 
 
@@ -81,16 +84,17 @@ def test_a_damaged_journal_keeps_what_is_whole(damage, cache, rng):
         content = bytearray(b"something else")
     path.write_bytes(content)
     with stores.journal("job") as journal:
-        assert journal.found == (0 if damage == "foreign" else 3)
+        kept = [number for number, _ in journal]
+        assert len(kept) == (0 if damage == "foreign" else 3)
         journal.add(9, block(rng, 3, 1))  # goes behind what is whole
-        assert [number for number, _ in journal] == [*range(journal.found), 9]
+        assert [number for number, _ in journal] == [*kept, 9]
 
 
 def test_two_processes_do_not_share_a_journal(cache, rng):
     with stores.journal("job") as first:
         first.add(0, block(rng, 4, 0))
         with stores.journal("job") as second:
-            assert second.found == 0
+            assert list(second) == []
             second.add(1, block(rng, 4, 0))
         assert [number for number, _ in first] == [0]
 
@@ -121,7 +125,7 @@ def test_a_full_disk_is_one_clear_line(rng):
         def seek(self, *_):
             return 0
 
-        def report(self):
+        def tell(self):
             return 0
 
         def read(self, _=None):
@@ -148,6 +152,7 @@ def content(packed, tmp_path) -> dict[str, bytes]:
         return {name: container.read(name) for name in container.namelist() if name != "manifest.json"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [
@@ -175,14 +180,26 @@ def test_streamed_is_as_good_as_in_memory(settings, tmp_path):
     if settings.group_by != "bent":
         assert streamed.terms == pytest.approx(whole.terms, rel=rough)
     streamed.save(tmp_path / "streamed.prt")
-    np.testing.assert_array_equal(load(tmp_path / "streamed.prt").reconstruct(), streamed.reconstruct())
+    read = load(tmp_path / "streamed.prt").reconstruct()
+    assert_rounded(read, streamed.reconstruct(), terms=2 * 49, size=1.0)  # vectors are shorter than one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0, 1, 3, 6])
 def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, monkeypatch, cache, caplog):
-    monkeypatch.setattr("slepian_prt.transport.visibility._RAYS_PER_BLOCK", 1 << 16)
+    monkeypatch.setattr("slepian_prt.transport.direct._RAYS_PER_BLOCK", 1 << 16)
     mesh, settings = bumpy(4), CompressionSettings(tolerance=0.05, clusters=12)
-    whole = content(precompute_compressed(mesh, settings, JOB), tmp_path)
+    traced, blocks_of = [], DirectTransfer.blocks  # how many blocks, of the pilot and then of the rest
+
+    def counted(source, pieces, *rest):
+        traced.append(len(pieces))
+        return blocks_of(source, pieces, *rest)
+
+    monkeypatch.setattr(DirectTransfer, "blocks", counted)
+    uninterrupted = precompute_compressed(mesh, settings, JOB)
+    whole = content(uninterrupted, tmp_path)
+    pilot, blocks = traced
+    assert blocks > 6
     add, added = stores.Journal.add, []
 
     def add_some(journal, number, content):
@@ -196,19 +213,13 @@ def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, m
         with pytest.raises(Killed):
             precompute_compressed(mesh, settings, JOB)
     assert len(list(cache.iterdir())) == 1
-    traced = []
-    run = DirectTransfer.run
-    monkeypatch.setattr(
-        DirectTransfer, "run", lambda self, blocks, *rest: (traced.append(len(blocks)), run(self, blocks, *rest))[1]
-    )
+    traced.clear()
     with caplog.at_level("INFO"):
         resumed = precompute_compressed(mesh, settings, JOB)
-    assert content(resumed, tmp_path) == whole
+    assert content(resumed, tmp_path) == whole  # the same calls on the same machine
     assert ("were finished before and are kept" in caplog.text) == (after > 0)
-    pilot, rest = traced[0], traced[1]
-    assert rest + after == len(set(range(rest + after)))
-    assert pilot >= 1
-    assert resumed.rays_traced == precompute_compressed(mesh, settings, JOB).rays_traced
+    assert traced == [pilot, blocks - after]
+    assert resumed.rays_traced == uninterrupted.rays_traced
 
 
 def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):
@@ -228,6 +239,7 @@ def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):
         assert len(list(cache.iterdir())) == number + 1
 
 
+@pytest.mark.slow
 def test_a_pilot_that_saw_too_little_is_made_up_for(monkeypatch):
     """The second moment of one vertex foresees far too few functions; the tolerance is kept all the same."""
     monkeypatch.setattr("slepian_prt.compression.pilot.PILOT_SIZE", 1)
@@ -251,6 +263,7 @@ def test_vertices_inside_other_geometry_borrow(tmp_path):
     assert np.linalg.norm(packed.reconstruct() - reference) <= 1.01e-3 * np.linalg.norm(reference)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed(tmp_path, cache):
     """As it happens to users: SIGKILL, then the same command."""
     mesh = bumpy(5)
@@ -275,19 +288,21 @@ def test_a_process_that_is_killed(tmp_path, cache):
 
 
 @pytest.mark.slow
-def test_peak_memory_does_not_grow_with_the_mesh():
+def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
     """Beyond the mesh: of vertices that are four times as many, coefficients are held, their vectors are not.
 
     Counted in bytes of living arrays: what the process takes from the system depends on when its threads give back.
     """
+    # Blocks are an eighth of what they are, so that even these meshes have many.
+    monkeypatch.setattr("slepian_prt.transport.estimator._NUMBERS_PER_BLOCK", 1 << 19)
     peaks, counts = [], []
     tracemalloc.start()
     try:
-        for subdivisions in (6, 7):
+        for subdivisions in (5, 6):
             mesh = bumpy(subdivisions)
             tracemalloc.reset_peak()
             held = tracemalloc.get_traced_memory()[0]
-            precompute_compressed(mesh, CompressionSettings(tolerance=0.1), TransportSettings(20, 64))
+            precompute_compressed(mesh, CompressionSettings(tolerance=0.1, clusters=24), TransportSettings(20, 64))
             peaks.append(tracemalloc.get_traced_memory()[1] - held)
             counts.append(len(mesh.positions))
     finally:
@@ -301,6 +316,7 @@ def test_convex_streams_without_a_ray():
     assert packed.rays_traced == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group_by", ["normal", "bent", "surface"])
 @pytest.mark.parametrize("classes", [1, 3])
 def test_relighting_is_reconstruction_times_light_however_grouped(group_by, classes, rng):
@@ -310,6 +326,6 @@ def test_relighting_is_reconstruction_times_light_however_grouped(group_by, clas
     packed = precompute_compressed(bumpy(4), settings, JOB)
     lights = rng.normal(size=(20, 3, 49))
     expected = np.einsum("vm,bcm->bvc", packed.reconstruct(), lights)
-    difference = packed.operator.apply(lights) - expected
+    difference = transfer_operator(packed).apply(lights) - expected
     # What is left out when relighting is at most a hundredth of the error under white light; a fifth for chance.
     assert np.linalg.norm(difference) <= 1.2 * 0.01 * packed.predicted_error * np.linalg.norm(expected)

@@ -10,11 +10,12 @@ from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.methods import METHODS
 from slepian_prt.evaluation.metrics import error_map, relative_rms
 from slepian_prt.evaluation.report import write_report
-from slepian_prt.evaluation.sweep import Point, Setting, Sweep
+from slepian_prt.evaluation.sweep.axes import Setting
+from slepian_prt.evaluation.sweep.results import Point, Sweep
 from slepian_prt.files import check_folder
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.relighting.pictures import Picture
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy
 
 METHOD_FIELDS = {
@@ -48,13 +49,14 @@ def comparison(tmp_path_factory):
         maps,
         transport=TransportSettings(bandlimit=4, samples=64),
         grouping=CompressionSettings(clusters=8),
-        methods=METHODS,
+        methods=tuple(METHODS),
         terms=(4, 9, 40),
         width=64,
         noise=0.05,
     )
 
 
+@pytest.mark.slow
 def test_results_have_the_stable_names(comparison):
     results = json.loads(json.dumps(comparison.results()))
     assert results["vertices"] == 642
@@ -69,11 +71,12 @@ def test_results_have_the_stable_names(comparison):
         # 40 is more than the bandlimit has; slepian lacks some functions of it
         assert method["terms"] in (4, 9, 16, 24, 25) or method["coding"] == "coded"
         assert method["predicted_error"] is not None or method["basis"] in ("haar", "d3dx")
-    assert {rung["environment"] for rung in results["ladder"]} == {"first", "second"}
-    assert all({"stage", "error", "seconds"} <= set(rung) for rung in results["ladder"])
+    assert {stage["environment"] for stage in results["ladder"]} == {"first", "second"}
+    assert all({"stage", "error", "seconds"} <= set(stage) for stage in results["ladder"])
     assert all(0 < r["noise"] < 0.2 for r in results["references"].values())
 
 
+@pytest.mark.slow
 def test_full_sh_is_the_end_of_every_curve(comparison):
     full = next(m for m in comparison.methods if m.basis == "none")
     assert full.transfer_error <= 5e-4  # float16
@@ -82,6 +85,7 @@ def test_full_sh_is_the_end_of_every_curve(comparison):
         assert method.transfer_error >= full.transfer_error
 
 
+@pytest.mark.slow
 def test_report_needs_nothing_else(comparison, tmp_path):
     page = write_report(comparison, tmp_path / "out", "slepian-prt compare 'a b.ply'")
     html = page.read_text()
@@ -91,7 +95,7 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     assert "http" not in re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", html)
     assert "bumpy &amp; &lt;ball&gt;.ply" in html
     assert "<ball>" not in html
-    for basis in METHODS[:-1]:
+    for basis in list(METHODS)[:-1]:
         assert f"{basis}, 9 functions" in html
         assert (tmp_path / "out" / f"first_{basis}_error.png").is_file()
     assert "entropy-coded" in html
@@ -99,6 +103,7 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.endswith(".part")]
 
 
+@pytest.mark.slow
 def test_report_shows_a_sweep(comparison, tmp_path):
     setting = Setting(64, 5, 96, "adapted", 0.05)
     points = (Point(setting, {"first": 0.1}, {"first": 0.1}, 2.0, 1.0, 0.0, 1.0, 0.1, 0.01),)
@@ -147,6 +152,7 @@ CORNER = """<scene version="3.0.0">
 </scene>"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", [None, "eye"])
 def test_a_mitsuba_scene_in_its_own_light(view, tmp_path):
     """Its emitter and camera are used, and the references follow what transfer follows: bounces, or gloss."""
@@ -156,14 +162,14 @@ def test_a_mitsuba_scene_in_its_own_light(view, tmp_path):
     result = compare(
         path, (), transport=TransportSettings(6, 512, view=view), terms=(9,), methods=("adapted",), noise=0.03
     )
-    assert [seen.environment.name for seen in result.views] == ["scene"]
+    assert [view.environment.name for view in result.views] == ["scene"]
     assert result.views[0].full.radiance.shape == (54, 72, 3)
     assert (result.transfer.bounces > 0) == (view is None)
     assert result.results()["toward_camera"] == (view is not None)
-    full = [rung for rung in result.ladder if rung.stage.startswith("full SH")]
-    for rung in full:
+    full = [error for error in result.ladder if error.stage.startswith("full SH")]
+    for stage in full:
         # Constant light needs no bandlimit: what is left is noise, interpolation, and at the outline pixels of both.
-        assert rung.error < rung.noise + 0.04
+        assert stage.error < stage.noise + 0.04
 
 
 def test_a_scene_without_light_of_its_own(tmp_path):

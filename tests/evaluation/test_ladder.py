@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE, Stage, ladder
+from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE, Stage, measure_stages
 from slepian_prt.evaluation.metrics import deviation, flip, picture_deviation, relative_mse, relative_rms
-from slepian_prt.relighting.pictures import Picture, trace_camera
+from slepian_prt.relighting.camera import trace_camera
+from slepian_prt.relighting.pictures import Picture
 from slepian_prt.scene.loading import open_scene
 from tests.conftest import bumpy
 
@@ -64,7 +65,7 @@ def test_flip_grows_with_the_difference(rng):
     assert flip(white, black, 1.0) > 0.9  # as different as can be
 
 
-def test_rungs_are_held_against_the_same_reference(rng):
+def test_stages_are_held_against_the_same_reference(rng):
     mesh = bumpy(3)
     exact = (0.5 + rng.random((len(mesh.positions), 3))).astype(np.float32)
     with open_scene(mesh) as scene:
@@ -75,9 +76,9 @@ def test_rungs_are_held_against_the_same_reference(rng):
         Stage("coded", exact * np.float32(1.2), 0.0, 4.0, 3.0),
     ]
     reference = camera.picture(exact * np.float32(1.01))
-    rungs = ladder("sky", reference, 0.02, 7.0, camera, stages)
-    drawn = [r for r in rungs if r.against == IN_PICTURE]
-    known = [r for r in rungs if r.against == AT_VERTICES]
+    errors = measure_stages("sky", reference, 0.02, 7.0, camera, stages)
+    drawn = [r for r in errors if r.against == IN_PICTURE]
+    known = [r for r in errors if r.against == AT_VERTICES]
     np.testing.assert_allclose([r.error for r in drawn], [0.0, 0.01 / 1.01, 0.04 / 1.01, 0.19 / 1.01], rtol=1e-4)
     np.testing.assert_allclose([r.error for r in known], [0.0, 0.05, 0.2], rtol=1e-4)
     assert [r.seconds for r in drawn] == [7.0, 2.0, 3.0, 4.0]

@@ -12,11 +12,14 @@ import pytest
 import trimesh
 
 from slepian_prt.errors import UserError
-from slepian_prt.evaluation import sweep as sweeping
-from slepian_prt.evaluation.sweep import Axes, Journal, Point, Setting, Sweep, findings, pareto
-from slepian_prt.evaluation.sweep_report import _named, write_sweep
+from slepian_prt.evaluation.sweep.axes import Axes, Setting
+from slepian_prt.evaluation.sweep.checkpoint import SweepCheckpoint
+from slepian_prt.evaluation.sweep.report import _well_apart, write_sweep
+from slepian_prt.evaluation.sweep.results import Point, Sweep, find_setbacks, pareto_front
+from slepian_prt.evaluation.sweep.run import sweep
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.transport.transfer import TransportSettings
+from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy
 from tests.relighting.mitsuba.test_integrator import sky
 
@@ -36,9 +39,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(folder):
-    return sweeping.sweep(
-        folder / "bumpy.ply", [make_environment(sky(), name="sky")], AXES, TransportSettings(), noise=0.01
-    )
+    return sweep(folder / "bumpy.ply", [make_environment(sky(), name="sky")], AXES, TransportSettings(), noise=0.01)
 
 
 def point(samples=16, bandlimit=4, tolerance=0.1, error=0.1, seconds=1.0, size=1.0) -> Point:
@@ -69,7 +70,7 @@ def test_more_rays_degrees_and_bytes_are_better(found):
 
 def test_lower_bandlimits_are_the_first_coefficients(folder, found):
     """The shared rays give what a run of its own would give."""
-    alone = sweeping.sweep(
+    alone = sweep(
         folder / "bumpy.ply",
         [make_environment(sky(), name="sky")],
         replace(AXES, samples=(256,), bandlimits=(2,), tolerances=(0.02,)),
@@ -85,7 +86,7 @@ def test_bounces_are_an_axis(folder):
     """The first bounce on a bright surface matters; what is left after it is below the noise here."""
     axes = replace(AXES, samples=(256,), bandlimits=(6,), tolerances=(0.02,), bounces=(None, 0, 1))
     environments = [make_environment(sky(), name="sky")]
-    found = sweeping.sweep(folder / "bumpy.ply", environments, axes, TransportSettings(albedo=0.9), noise=0.01)
+    found = sweep(folder / "bumpy.ply", environments, axes, TransportSettings(albedo=0.9), noise=0.01)
     error = {p.setting.bounces: p.error["sky"] for p in found.points}
     assert error[0] > 1.3 * error[1]
     assert error[0] > 1.3 * error[None]
@@ -97,12 +98,12 @@ def test_the_front():
         point(error=0.3, seconds=1.0), point(error=0.2, seconds=2.0), point(error=0.25, seconds=3.0),
         point(error=0.1, seconds=4.0), point(error=0.1, seconds=5.0),
     ]  # fmt: skip
-    assert [p.seconds for p in pareto(points, "sky", "seconds")] == [1.0, 2.0, 4.0]
+    assert [p.seconds for p in pareto_front(points, "sky", "seconds")] == [1.0, 2.0, 4.0]
 
 
 def test_what_does_not_help_is_said():
     points = (point(samples=16, error=0.1), point(samples=64, error=0.2), point(samples=256, error=0.15))
-    told = findings(Sweep("x.ply", 1, ("sky",), {"sky": 0.001}, points, {}, ()))
+    told = find_setbacks(Sweep("x.ply", 1, ("sky",), {"sky": 0.001}, points, {}, ()))
     assert len(told) == 1
     assert told[0].startswith("Under sky, samples 16 to 64 raises the error from 10.00% to 20.00%")
 
@@ -136,46 +137,47 @@ def test_what_is_no_finished_sweep(tmp_path):
 
 def test_a_front_names_settings_that_are_apart():
     points = [point(seconds=1.0 + i, error=0.5 * 0.98**i) for i in range(150)]
-    named = _named(pareto(points, "sky", "seconds"), "sky")
+    named = _well_apart(pareto_front(points, "sky", "seconds"), "sky")
     assert 5 < len(named) <= 14
     assert named[0] is points[0]
     assert named[-1] is points[-1]
     errors = [p.error["sky"] for p in named]
     assert all(b <= 0.9 * a for a, b in pairwise(errors[:-1]))
-    assert _named([points[0]], "sky") == [points[0]]
+    assert _well_apart([points[0]], "sky") == [points[0]]
 
 
 def test_a_stopped_sweep_goes_on(folder, tmp_path):
     environments, transport = [make_environment(sky(), name="sky")], TransportSettings()
     axes = replace(AXES, bandlimits=(2,), tolerances=(0.3, 0.1))
     path = tmp_path / "partial"
-    with transport.opened(folder / "bumpy.ply") as planned:
-        journal = Journal(path, planned, environments, 0.05)
+    with plan_scene(folder / "bumpy.ply", transport) as planned:
+        checkpoint = SweepCheckpoint(path, planned, environments, 0.05)
     kept = replace(point(samples=16, bandlimit=2, tolerance=0.3), error={"sky": 0.123})
-    journal.add(kept)
+    checkpoint.add(kept)
     with path.open("a") as file:
         file.write('{"key": "cut sho')
     done = []
-    found = sweeping.sweep(
+    found = sweep(
         folder / "bumpy.ply",
         environments,
         axes,
         transport,
         noise=0.05,
-        journal=path,
+        checkpoint=path,
         advance=lambda n, _: done.append(n),
     )
     assert kept in found.points
     assert sum(done) == len(found.points) == 4
     assert not path.exists()
     # Another job is not taken for the same, nor another mesh of the same name.
-    journal.add(kept)
+    checkpoint.add(kept)
     moved = replace(bumpy(3), positions=1.1 * bumpy(3).positions)
     for scene, other in ((folder / "bumpy.ply", TransportSettings(seed=1)), (moved, transport)):
-        with other.opened(scene) as planned:
-            assert Journal(path, planned, environments, 0.05).points == {}
+        with plan_scene(scene, other) as planned:
+            assert SweepCheckpoint(path, planned, environments, 0.05).points == {}
 
 
+@pytest.mark.slow
 def test_the_command(folder):
     command = [
         sys.executable, "-m", "slepian_prt", "sweep", "bumpy.ply", "--environment", "sky.exr", "-o", "out",
@@ -188,6 +190,7 @@ def test_the_command(folder):
     assert not [name for name in os.listdir(folder / "out") if "partial" in name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -213,6 +216,7 @@ def test_wrong_requests(arguments, message, folder):
     assert not (folder / "never").exists()
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_not_there(folder):
     command = [sys.executable, "-m", "slepian_prt", "sweep", "none.ply", "--environment", "sky.exr", "-o", "never"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)

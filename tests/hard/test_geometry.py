@@ -11,6 +11,7 @@ from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, inside_out, sphere
+from tests.numerics import assert_rounded
 
 AMBIENT = math.sqrt(4 * math.pi)
 
@@ -164,6 +165,7 @@ def test_a_small_model_beside_a_large_floor():
     np.testing.assert_allclose(beside_floor(0.5e-4, 1e4), beside_floor(0.5, 1e3), atol=0.02)
 
 
+@pytest.mark.slow
 def test_closed_geometry_around_is_exactly_dark():
     """Not one leaking ray, whatever shape the room has."""
     for room in (inside_out(sphere(4)), inside_out(bumpy(4))):
@@ -215,11 +217,12 @@ def test_threads_do_not_matter():
     import drjit as dr
 
     mesh = bumpy(3)
-    many = precompute(mesh, 4, 256, albedo=0.5).vectors
+    many = precompute(mesh, 4, 256, albedo=0.5)
     before = dr.thread_count()
     try:
         dr.set_thread_count(1)
-        one = precompute(mesh, 4, 256, albedo=0.5).vectors
+        one = precompute(mesh, 4, 256, albedo=0.5)
     finally:
         dr.set_thread_count(before)
-    np.testing.assert_array_equal(many, one)
+    assert many.rays_traced == one.rays_traced
+    assert_rounded(many.vectors, one.vectors, terms=256 + 64 * one.bounces, size=1.0)

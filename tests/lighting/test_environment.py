@@ -149,7 +149,7 @@ def test_small_negative_texels_are_clamped_and_counted():
     [
         (lambda t: t.__setitem__((3, 4), np.nan), "NaN or infinite, the first in row 3, column 4"),
         (lambda t: t.__setitem__((0, 0), np.inf), "NaN or infinite"),
-        (lambda t: t.__setitem__((8, 9), -3394.0), r"negative \(down to -3394\).*--clamp-negative"),
+        (lambda t: t.__setitem__((8, 9), -3394.0), r"negative \(down to -3394\).*`clamp_negative`"),
     ],
 )
 def test_bad_texels(spoil, message):

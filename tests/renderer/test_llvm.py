@@ -3,9 +3,9 @@ import stat
 
 import pytest
 
+from slepian_prt.cli.machine import examine
 from slepian_prt.renderer import llvm
 from slepian_prt.renderer.variants import usable_variant
-from slepian_prt.scene.doctor import examine
 
 
 @pytest.fixture

@@ -176,6 +176,7 @@ def test_an_envmap_is_taken_as_it_is(rng):
         np.testing.assert_allclose(np.array(emitter.eval(si)).ravel(), 2.0 * texels[row, column], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_constant_and_sky():
     with mitsuba() as mi:
         constant = mi.load_dict({"type": "constant", "radiance": {"type": "rgb", "value": [0.2, 0.5, 1.0]}})
@@ -196,8 +197,9 @@ def test_constant_and_sky():
         np.testing.assert_allclose(theirs, power, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_the_scenes_own_light_is_kept_with_the_transfer(tmp_path):
-    from slepian_prt.compression.compressed import load
+    from slepian_prt.compression.prt_file import load
     from slepian_prt.compression.stream import compress
 
     body = """<emitter type="constant"><rgb name="radiance" value="1, 2, 3"/></emitter>

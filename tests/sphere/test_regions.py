@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slepian_prt.slepian.concentration import cap_basis, region_basis
+from slepian_prt.slepian.concentration import cap_basis
+from slepian_prt.slepian.region_concentration import region_basis
 from slepian_prt.sphere.caps import cap_area
 from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.sphere.quadrature import spherical_fibonacci
@@ -22,6 +23,7 @@ def test_area_of_a_cap_anywhere(seed, half_angle):
     assert region_area(~region) == pytest.approx(4 * math.pi - cap_area(half_angle), abs=1e-12)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_unions_and_differences_add_up(seed):

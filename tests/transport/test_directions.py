@@ -1,4 +1,4 @@
-"""Direction nets and their tables against closed forms on the disk."""
+"""Direction sets and their tables against closed forms on the disk."""
 
 import math
 
@@ -10,46 +10,48 @@ from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.directions import direction_set
-from slepian_prt.transport.visibility import Seen, VisibilityTracer
+from slepian_prt.transport.occlusion import OcclusionTables
+from slepian_prt.transport.visibility import VisibilitySamples
 
 MEAN = math.sqrt(4 * math.pi)
 
 
 @pytest.mark.parametrize("nodes", [8, 100, 700])
-def test_net_covers_the_hemisphere(nodes):
-    net = direction_set(nodes)
-    assert net.size == nodes
-    assert net.weights.sum() == pytest.approx(1.0, abs=1e-12)
-    assert (net.directions[:, 2] > 0.0).all()
-    np.testing.assert_allclose(np.linalg.norm(net.directions, axis=1), 1.0, atol=1e-12)
+def test_a_set_covers_the_hemisphere(nodes):
+    directions = direction_set(nodes)
+    assert directions.size == nodes
+    assert directions.weights.sum() == pytest.approx(1.0, abs=1e-12)
+    assert (directions.vectors[:, 2] > 0.0).all()
+    np.testing.assert_allclose(np.linalg.norm(directions.vectors, axis=1), 1.0, atol=1e-12)
     # Euler's formula for a triangulated disk.
-    assert net.size - len(net.edges) + len(net.triangles) == 1
+    assert directions.size - len(directions.edges) + len(directions.triangles) == 1
 
 
 def test_all_blocked_is_exactly_the_unoccluded_lobe():
-    net = direction_set(200)
-    nodes, _ = net.tables(8)
+    directions = direction_set(200)
+    nodes, _ = directions.tables(8)
     exact = (real_sh(8, [[0.0, 0.0, 1.0]]) * cosine_lobe(8)[degrees(8)])[0]
     # Sums of 200 float32 numbers.
     np.testing.assert_allclose(nodes.astype(np.float64).sum(axis=0), exact, atol=200 * 6e-8 * 0.3)
 
 
 def test_a_corner_and_the_rest_make_a_triangle():
-    net = direction_set(150)
-    thirds = net.tables(0)[1][:, 0].reshape(-1, 3, 4, 4)
+    directions = direction_set(150)
+    thirds = directions.tables(0)[1][:, 0].reshape(-1, 3, 4, 4)
     # In barycentric coordinates the corner cut at u and v has the part u v of the triangle, wherever the triangle is.
     middle = (np.arange(4) + 0.5) / 4
-    whole = np.repeat(net_areas(net)[:, None], 3, axis=1)[..., None, None]
+    whole = np.repeat(triangle_areas(directions)[:, None], 3, axis=1)[..., None, None]
     expected = whole * (np.outer(middle, middle) - 1.0 / 3.0)
-    interior = np.linalg.norm(net.points[net.triangles], axis=2).max(axis=1) < 0.9  # without what hangs over the rim
+    # Without what hangs over the rim.
+    interior = np.linalg.norm(directions.points[directions.triangles], axis=2).max(axis=1) < 0.9
     # The rule has about 64 points per node, 32 per triangle; a cut decides to within a few of them.
     scale = float(whole[interior].mean())
     np.testing.assert_allclose(thirds[interior] * MEAN, expected[interior], atol=0.12 * scale)
     assert abs((thirds[interior] * MEAN - expected[interior]).mean()) < 0.01 * scale
 
 
-def net_areas(net):
-    a, b, c = (net.points[net.triangles[:, k]] for k in range(3))
+def triangle_areas(directions):
+    a, b, c = (directions.points[directions.triangles[:, k]] for k in range(3))
     return 0.5 * np.abs((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])) / np.pi
 
 
@@ -69,26 +71,22 @@ def blocked_by_half_plane(bandlimit: int, height: float) -> np.ndarray:
     return weight @ real_sh(bandlimit, d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nodes", [100, 400])
 def test_straight_boundaries_are_found_to_second_order(nodes):
     """Half planes at many heights and angles: the error is that of quantised crossings, far below a node's share."""
-    net = direction_set(nodes)
-    tracer = object.__new__(VisibilityTracer)  # its tables without a scene to trace
-    tracer.net = net
-    tracer.node_table, tracer.corner_table = net.tables(5)
-    sides, corners = net.triangle_edges, net.triangles
-    tracer._edge = [sides.ravel(), np.roll(sides, 1, axis=1).ravel()]
-    tracer._towards = [net.edges[edge, 0] != corners.ravel() for edge in tracer._edge]
+    directions = direction_set(nodes)
+    tables = OcclusionTables(directions, 5)
     heights = np.linspace(-0.8, 0.8, 33)
     angles = np.linspace(0.0, 2.0 * np.pi, 33)
     normals = np.column_stack([np.cos(angles), np.sin(angles)])
-    side = net.directions[:, :2] @ normals.T > heights  # (directions, 33)
-    hit, inner = side[: net.size], side[net.size :].reshape(len(net.edges), 3, -1)
-    begin = hit[net.edges[:, 0]]
+    side = directions.vectors[:, :2] @ normals.T > heights  # (directions, 33)
+    hit, inner = side[: directions.size], side[directions.size :].reshape(len(directions.edges), 3, -1)
+    begin = hit[directions.edges[:, 0]]
     second = inner[:, 1] == begin
     last = np.where(second, inner[:, 2], inner[:, 0]) == begin
-    quarter = np.where(begin != hit[net.edges[:, 1]], 2 * second + last, 0).astype(np.uint8)
-    projected = tracer._projected(Seen(np.zeros((33, 3, 3)), hit, quarter))
+    quarter = np.where(begin != hit[directions.edges[:, 1]], 2 * second + last, 0).astype(np.uint8)
+    projected = tables.blocked_in_frames(VisibilitySamples(np.zeros((33, 3, 3)), hit, quarter))
     errors, sizes = [], []
     for k, (height, angle) in enumerate(zip(heights, angles, strict=True)):
         turn = np.array([[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]])

@@ -14,6 +14,8 @@ from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import ROOT
+from tests.numerics import assert_rounded
+from tests.statistics import assert_agree
 
 AMBIENT = math.sqrt(4 * math.pi)
 
@@ -38,6 +40,7 @@ def write(tmp_path):
     return make
 
 
+@pytest.mark.slow
 def test_of_diffuse_materials_it_is_diffuse_transfer_times_the_albedo(write):
     path = write(scene_of('<bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.2, 0.1"/></bsdf>'))
     toward = precompute(path, 5, 2048, view="front")
@@ -64,24 +67,30 @@ BSDFS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(BSDFS))
 def test_agrees_with_the_path_tracer(kind, write):
-    """Under light of low degree, which the bandlimit holds, per vertex against Mitsuba's own path tracer."""
+    """Under light of degree one, which the bandlimit holds, per vertex against Mitsuba's own path tracer."""
     path = write(scene_of(BSDFS[kind]))
     theta = np.linspace(0.0, np.pi, 32)[:, None, None]
     phi = (np.arange(64) + 0.5)[None, :, None] / 64 * 2 * np.pi
     light = make_environment((1.0 + 0.7 * np.cos(theta) + 0.2 * np.sin(phi) * np.sin(theta)) * np.ones(3))
-    transfer = precompute(path, 8, 2048, view="front")
-    relit = relight(transfer, project_environment(light, 8))
+    transfer, other = (precompute(path, 2, 1024, view="front", seed=seed) for seed in (0, 1))
+    relit, again = (relight(one, project_environment(light, 2)) for one in (transfer, other))
     with open_scene(path, view="front") as scene:
-        reference = vertex_reference(scene, light, noise=0.004, view=transfer.view)
+        runs = [
+            vertex_reference(scene, light, noise=0.02, largest_samples=128, view=transfer.view, seed=seed).radiance
+            for seed in range(8)
+        ]
     ball = slice(0, transfer.parts[0].count)
     seen = transfer.axes[ball].any(axis=1)
     eye = np.array(transfer.view.to_world)[:3, 3] - transfer.positions[ball]
     cosine = np.einsum("ij,ij->i", eye / np.linalg.norm(eye, axis=1, keepdims=True), transfer.normals[ball])
     seen &= cosine > 0.2  # at the outline the reference sees the facets beside the vertex
-    difference = relit[ball][seen] - reference.radiance[ball][seen]
-    scale = np.sqrt(np.mean(reference.radiance[ball][seen] ** 2))
-    assert np.sqrt(np.mean(difference**2)) < 0.02 * scale + reference.noise * scale
-    assert abs(difference.mean()) < 0.005 * scale
+    reference = np.stack(runs)[:, ball][:, seen]
+    scale = np.sqrt(np.mean(reference.mean(axis=0) ** 2))
+    # What our own directions get wrong, as another turn of them tells; of some thousand numbers none beyond 4.5 times.
+    own = np.sqrt(np.mean((relit - again)[ball][seen] ** 2) / 2)
+    assert own < 0.01 * scale
+    assert_agree(relit[ball][seen][None], reference, bias=4.5 * own)
+    assert_agree(relit[ball][seen].mean(axis=0)[None], reference.mean(axis=1), bias=0.5 * own)
 
 
 def test_lobes_are_clustered_by_reflection(write):
@@ -95,8 +104,9 @@ def test_lobes_are_clustered_by_reflection(write):
     np.testing.assert_allclose(twice, 2.0 * theta, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_compresses_and_comes_back(write, tmp_path):
-    from slepian_prt.compression.compressed import load
+    from slepian_prt.compression.prt_file import load
 
     transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 6, 256, view="front")
     packed = compress(transfer, tolerance=0.05, clusters=24)
@@ -107,7 +117,8 @@ def test_compresses_and_comes_back(write, tmp_path):
     again = load(tmp_path / "view.prt")
     assert again.toward_view
     assert again.view == transfer.view
-    np.testing.assert_array_equal(again.reconstruct(), packed.reconstruct())
+    longest = float(np.linalg.norm(original, axis=-1).max())
+    assert_rounded(again.reconstruct(), packed.reconstruct(), terms=2 * original[0].size, size=longest)
     # A measured kernel does better than harmonics at equal numbers of functions.
     errors = {}
     for basis in ("adapted", "sh"):

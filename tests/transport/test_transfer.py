@@ -15,6 +15,7 @@ from slepian_prt.sphere.quadrature import spherical_fibonacci
 from slepian_prt.transport.transfer import precompute
 from slepian_prt.transport.visibility import shadowed_vertices
 from tests.conftest import bumpy, inside_out, sphere
+from tests.numerics import assert_exact, assert_rounded
 
 AMBIENT = math.sqrt(4 * math.pi)  # the lighting coefficient of a constant environment of radiance 1
 
@@ -52,6 +53,7 @@ def test_a_mesh_inside_out_is_remarked_on(caplog):
     assert not caplog.text
 
 
+@pytest.mark.slow
 def test_hemispherical_bowl_has_the_known_sky():
     """At the bottom of a hemispherical bowl with rim at 90°, all of the sky is seen; on its wall at polar angle α the
     rim blocks, and the cosine-weighted open part is (1 + cos α)/2 for the vertex at angle α from the bottom."""
@@ -86,6 +88,7 @@ def hits_any(mesh: Mesh, origin: np.ndarray, directions: np.ndarray) -> np.ndarr
     return hit
 
 
+@pytest.mark.slow
 def test_brute_force(rng):
     """Visibility by testing every triangle, and a plain sum over uniform directions."""
     mesh = bumpy(3)
@@ -105,8 +108,9 @@ def test_brute_force(rng):
         np.testing.assert_allclose(transfer.vectors[vertex, 0], expected, atol=3 * 4000**-0.75)
 
 
+@pytest.mark.slow
 def test_error_falls_as_rays_are_added():
-    mesh = bumpy(4)
+    mesh = bumpy(3)
     reference = precompute(mesh, bandlimit=6, samples=16384).vectors
     errors = [
         np.linalg.norm(precompute(mesh, bandlimit=6, samples=n, seed=3).vectors - reference) / np.linalg.norm(reference)
@@ -117,12 +121,26 @@ def test_error_falls_as_rays_are_added():
     assert errors[2] < 0.5 * errors[1]
 
 
-def test_same_seed_same_bits_and_vertices_may_be_reordered(rng):
+def test_same_seed_same_rays():
     mesh = bumpy(3)
-    first, second = (precompute(mesh, bandlimit=5, samples=256, seed=7) for _ in range(2))
-    np.testing.assert_array_equal(first.vectors, second.vectors)
-    other = precompute(mesh, bandlimit=5, samples=256, seed=8)
-    assert not np.array_equal(first.vectors, other.vectors)
+    first, second, other = (precompute(mesh, bandlimit=5, samples=256, seed=seed) for seed in (7, 7, 8))
+    assert first.rays_traced == second.rays_traced != other.rays_traced
+    # Of up to 256 rays, and a rotation; vectors are shorter than one.
+    assert_rounded(first.vectors, second.vectors, terms=256 + 11, size=1.0)
+    assert np.abs(first.vectors - other.vectors).max() > 1e-3
+
+
+def test_vertices_may_be_reordered(rng):
+    """The turns about the normals go by number, so that another order is another seed, and nothing else."""
+    mesh = bumpy(3)
+    order = rng.permutation(len(mesh.positions))
+    shuffled = make_mesh(mesh.positions[order], np.argsort(order)[mesh.faces], normals=mesh.normals[order])
+    found = precompute(shuffled, bandlimit=5, samples=256).vectors[np.argsort(order)]
+    one, other = (precompute(mesh, bandlimit=5, samples=256, seed=seed).vectors for seed in (0, 1))
+    noise = np.linalg.norm(one - other)
+    assert noise < 0.05 * np.linalg.norm(one)
+    # Squares over some 600 vertices: their sum varies by 6 %, its root by half of that.
+    assert np.linalg.norm(found - one) == pytest.approx(noise, rel=0.2)
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e-3, 0.0), (1e4, 0.0), (1.0, 1e4), (1e-3, 5.0)])
@@ -143,7 +161,7 @@ def test_supporting_planes():
     # Brute force over all vertices.
     heights = (mesh.normals @ mesh.positions.T).max(axis=1) - np.einsum("ij,ij->i", mesh.normals, mesh.positions)
     diagonal = np.linalg.norm(np.ptp(mesh.positions, axis=0))
-    np.testing.assert_array_equal(shadowed, heights > 0.5e-4 * diagonal)
+    assert_exact(shadowed, heights > 0.5e-4 * diagonal, because="one or the other, and none is near the limit")
     assert 0 < shadowed.mean() < 1
 
 
@@ -255,7 +273,7 @@ def test_bad_numbers(options, message):
 def test_ambient_occlusion_of_real_meshes(data):
     """Mean ambient occlusion as measured for the design: skull 0.72, nefertiti 0.95; no vertex of nefertiti black."""
     for name, expected in (("skull", 0.72), ("nefertiti", 0.95)):
-        transfer = precompute(data / "meshes" / f"{name}.ply", bandlimit=0, samples=1024)
+        transfer = precompute(data / "meshes" / f"{name}.ply", bandlimit=0, samples=256)
         ambient = transfer.vectors[:, 0, 0] * AMBIENT
         assert ambient.mean() == pytest.approx(expected, abs=0.01)
         assert ambient.max() <= 1.0 + 1e-5

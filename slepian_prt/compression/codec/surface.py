@@ -1,4 +1,4 @@
-"""The vertices of a cap as the codec visits them: coarse to fine along the surface, each with those it is told from.
+"""The receivers of a cap as the codec visits them: coarse to fine along the surface, each with its predictors.
 
 Everything here is integer arithmetic on what the file holds, so that encoder and decoder agree on any machine.
 """
@@ -8,13 +8,13 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from slepian_prt.scene.mesh import Mesh
-from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.receivers import Receivers, morton
 
 # Positions are rounded to this part of the bounding box, normals to this part of one.
 _PLACES = 1 << 18
@@ -33,23 +33,22 @@ _MANY = 64
 
 # Caps take some 300 bytes per vertex; those of larger meshes are made each time they are needed.
 _REMEMBERED = 1 << 17
-_KEPT = "_surface"
 
 
 @dataclass(frozen=True)
 class Level:
-    """Vertices that are coded together, all from vertices of earlier levels.
+    """Receivers that are coded together, all predicted from those of earlier levels.
 
     Attributes
     ----------
     rows : (n,)
-        Which of the cap's vertices, in surface order.
+        Which of the cap's receivers, in surface order.
     sources : sparse (n, N) int64
         Weights of what each is predicted from.
     totals : (n,) int64
         Their sums.
     on_curve : (n,) bool
-        True where no mesh neighbour is known, so that the neighbours on the curve stand in.
+        True where no neighbour on the surface is known, so that those on the curve stand in.
     """
 
     rows: NDArray[np.int64]
@@ -60,47 +59,46 @@ class Level:
 
 @dataclass(frozen=True)
 class CapSurface:
-    """One cap's vertices in the order of coding.
+    """One cap's receivers in the order of coding.
 
     Attributes
     ----------
     order : (N,)
-        The vertices of the mesh.
+        Their indices.
     levels : tuple of Level
-        All but the first vertex, from coarse to fine.
+        All but the first, from coarse to fine.
     """
 
     order: NDArray[np.int64]
     levels: tuple[Level, ...]
 
 
-def surface_of(mesh: Mesh) -> Surface:
-    """The surface of a mesh, made once, so that all that code or decode the same caps share them."""
-    known: Surface | None = mesh.__dict__.get(_KEPT)
+def surface_of(receivers: Receivers) -> Surface:
+    """The surface of receivers, made once, so that all that code or decode the same caps share them."""
+    known = _surfaces.get(receivers)
     if known is None:
-        known = Surface(mesh)
-        mesh.__dict__[_KEPT] = known  # beside the fields of the frozen mesh, like a cached property
+        known = _surfaces[receivers] = Surface(receivers)
     return known
 
 
 class Surface:
-    """The mesh as the codec sees it.
+    """Receivers and their neighbours as the codec sees them.
 
     Parameters
     ----------
-    mesh : Mesh
+    receivers : Receivers
         Normals count as the file holds them, in float32.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
-        count = len(mesh.positions)
+    def __init__(self, receivers: Receivers) -> None:
+        positions, count = receivers.positions, len(receivers)
         self._rank = np.empty(count, dtype=np.int64)
-        self._rank[np.argsort(morton(mesh.positions), kind="stable")] = np.arange(count)
-        self._neighbours = _adjacency(mesh.faces, count)
-        low = mesh.positions.min(axis=0)
-        extent = float((mesh.positions.max(axis=0) - low).max())
-        self._places = np.rint((mesh.positions - low) * (_PLACES / extent if extent > 0.0 else 0.0)).astype(np.int64)
-        self._turns = np.rint(mesh.normals.astype(np.float32).astype(np.float64) * _TURNS).astype(np.int64)
+        self._rank[np.argsort(morton(positions), kind="stable")] = np.arange(count)
+        self._neighbours = _adjacency(receivers.neighbours, count)
+        low = positions.min(axis=0)
+        extent = float((positions.max(axis=0) - low).max())
+        self._places = np.rint((positions - low) * (_PLACES / extent if extent > 0.0 else 0.0)).astype(np.int64)
+        self._turns = np.rint(receivers.normals.astype(np.float32).astype(np.float64) * _TURNS).astype(np.int64)
         self._caps: dict[bytes, CapSurface] = {}
 
     @cached_property
@@ -111,7 +109,7 @@ class Surface:
         return max(1, int(lengths.sum()) // max(1, lengths.size))
 
     def cap(self, members: NDArray) -> CapSurface:
-        """The given vertices along a Z-order curve, and how they tell each other."""
+        """The given receivers along a Z-order curve, and what each is predicted from."""
         if len(self._rank) > _REMEMBERED:
             return self._cap(members)
         key = hashlib.sha256(members.astype(np.int64).tobytes()).digest()
@@ -129,7 +127,7 @@ class Surface:
         return CapSurface(order, tuple(self._levels(order, near)))
 
     def _levels(self, order: NDArray, near: csr_array) -> list[Level]:
-        """Ranks that are odd multiples of 2^j are told from those that are multiples of 2^(j+1)."""
+        """Ranks that are odd multiples of 2^j are predicted from those that are multiples of 2^(j+1)."""
         count = len(order)
         levels = []
         stride = 1 << max(0, (count - 1).bit_length() - 1)
@@ -163,11 +161,10 @@ class Surface:
         return weights
 
 
-def _adjacency(faces: NDArray, count: int) -> csr_array:
-    """(V, V) pattern of vertices that share an edge."""
-    a, b = (np.concatenate([faces[:, i] for i in order]) for order in ((0, 1, 2), (1, 2, 0)))
-    kept = a != b
-    a, b = a[kept], b[kept]
-    pattern = csr_array((np.ones(2 * a.size, dtype=np.int32), (np.r_[a, b], np.r_[b, a])), shape=(count, count))
-    pattern.data[:] = 1
-    return pattern
+def _adjacency(neighbours: NDArray, count: int) -> csr_array:
+    """(V, V) pattern of receivers that are neighbours."""
+    a, b = neighbours.T
+    return csr_array((np.ones(2 * a.size, dtype=np.int32), (np.r_[a, b], np.r_[b, a])), shape=(count, count))
+
+
+_surfaces: WeakKeyDictionary[Receivers, Surface] = WeakKeyDictionary()

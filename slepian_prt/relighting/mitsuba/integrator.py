@@ -1,11 +1,4 @@
-"""The Mitsuba integrator ``slepian_prt``: shapes of a transfer file, lit by the scene's own distant light.
-
-import mitsuba as mi, slepian_prt
-mi.set_variant("llvm_ad_rgb")
-slepian_prt.register()
-scene = mi.load_file("scene.xml")          # <integrator type="slepian_prt">
-mi.render(scene)                           #     <string name="transfer" value="skull.prt"/></integrator>
-"""
+"""The Mitsuba integrator ``slepian_prt``, and its registration."""
 
 from __future__ import annotations
 
@@ -18,8 +11,8 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
-from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, warn
-from slepian_prt.relighting.mitsuba.emission import smooth_basis, smooth_spectra
+from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
+from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, srgb_to_spectrum, without_polarization
 from slepian_prt.renderer.variants import imported_mitsuba
 
 NAME = "slepian_prt"
@@ -27,14 +20,14 @@ NAME = "slepian_prt"
 # What is handed on to the integrator that draws everything else.
 _OF_DIRECT = ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters")
 
-# Rec. 709 luminance.
-_LUMINANCE = (0.212671, 0.715160, 0.072169)
-
 _registered: set[str] = set()
 
 
+# --- Registration ----------------------------------------------------------------------------------------------------
+
+
 def register() -> None:
-    """Make the integrator known to Mitsuba, in the current variant and all that are switched to later.
+    """Make the integrator `slepian_prt` known to Mitsuba, in the current variant and all that are switched to later.
 
     May be called before or after a variant is set, and any number of times.
     """
@@ -54,126 +47,213 @@ def _on_variant(_old: str | None, new: str | None) -> None:
 
 def _register_in(mi: Any, variant: str) -> None:
     if variant not in _registered:
-        made = _refused if variant.startswith("scalar_") else _integrator_class(mi)
-        mi.register_integrator(NAME, lambda properties: made(properties))
+        plugin = _refuse if variant.startswith("scalar_") else _plugin_class(mi)
+        mi.register_integrator(NAME, lambda properties: plugin(properties))
         _registered.add(variant)
 
 
-def _refused(_properties: Any) -> Any:
+def _refuse(_properties: Any) -> Any:
     raise UserError(
         f"the integrator {NAME} needs an llvm_* or cuda_* variant of Mitsuba; call mi.set_variant() with one"
     )
 
 
-def _integrator_class(mi: Any) -> Any:
-    """The class for the current variant."""
-    import drjit as dr
+def _plugin_class(mi: Any) -> Any:
+    """The class of the current variant, which all it does hands to a `SlepianIntegrator`.
+
+    That cannot be a second base: Mitsuba's classes (nanobind's) allow one alone.
+    """
 
     class SlepianPRT(mi.SamplingIntegrator):
-        """Radiance of the vertices where camera rays meet shapes of the files, else what ``direct`` would draw.
-
-        Parameters of the plugin
-        ------------------------
-        transfer : string
-            Path of a ``.prt`` file, relative to the scene. Further ones are ``transfer_`` and anything.
-        albedo : string
-            ``file`` (default): what the file says that vertices reflect, which ``mi.traverse`` shows as ``albedo``
-            (of ``transfer_x`` as ``albedo_x``). ``scene``: what the materials of the scene reflect diffusely.
-        window, window_width : string, float
-            ``hann`` or ``lanczos`` and the degree that it ends at: damps ringing under small bright lights.
-        shading_samples, emitter_samples, bsdf_samples, hide_emitters
-            As those of ``direct``.
-        """
+        __doc__ = SlepianIntegrator.__doc__
 
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
-            names = sorted(name for name in properties if re.fullmatch("transfer(_.*)?", name))
-            if not names:
-                raise UserError(f"integrator {NAME} needs a parameter 'transfer', the path of a .prt file")
-            source = str(properties.get("albedo", "file"))
-            if source not in ("file", "scene"):
-                raise UserError(f"albedo of integrator {NAME} must be 'file' or 'scene', not {source!r}")
-            self.of_scene = source == "scene"
-            damping = _damping(str(properties.get("window", "")), properties.get("window_width", 0.0))
-            self.files = {}
-            for name in names:
-                if not isinstance(properties[name], str):
-                    raise UserError(f"{name} of integrator {NAME} must be the path of a file, not {properties[name]!r}")
-                path = str(mi.file_resolver().resolve(properties[name]))
-                self.files[name] = BoundTransfer(mi, path, damping, not self.of_scene)
-            for file in self.files.values():
-                if self.of_scene and file.packed.toward_view:
-                    raise UserError(f"{file.name}: transfer toward a camera has its materials in it; leave out albedo")
-            # Not by `load_dict`, which replaces the resolver of files for all threads that are loading this scene.
-            others = mi.Properties("direct")
-            for name in _OF_DIRECT:
-                if name in properties:
-                    others[name] = properties[name]
-            self.others = mi.PluginManager.instance().create_object(others)
-            self.spectra = smooth_spectra(mi).tolist() if mi.is_spectral else None
+            self.integrator = SlepianIntegrator(mi, properties)
 
         def traverse(self, callback: Any) -> None:
-            for name, file in self.files.items():
-                callback.put(name.replace("transfer", "albedo", 1), file.albedo, mi.ParamFlags.Differentiable)
+            self.integrator.traverse(callback)
 
         def parameters_changed(self, keys: Any) -> None:
-            for file in self.files.values():
-                file.check_albedo()
+            self.integrator.check_parameters()
 
         def to_string(self) -> str:
-            return f"SlepianPRT[{', '.join(f'{name} = {file.name}' for name, file in self.files.items())}]"
+            return str(self.integrator)
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             try:
-                return self._sample(scene, sampler, ray, medium, active)
+                return self.integrator.sample(scene, sampler, ray, medium, active)
             except UserError as error:
-                # `mi.render` raises an error of its own that does not say what is wrong.
-                warn(mi, str(error))
+                log_warning(mi, str(error))  # `mi.render` raises an error of its own that does not say what is wrong
                 raise
 
-        def _sample(self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> Any:
-            self._find(scene)
-            active = mi.Bool(active)
-            with dr.suspend_grad():
-                hit = scene.ray_intersect_preliminary(mi.Ray3f(ray), coherent=True, active=active)
-                if self.hide_emitters:
-                    hit = self._behind_emitters(scene, ray, hit, active)
-                minimal = hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.Minimal, active & hit.is_valid())
-            held, colour = mi.Bool(False), mi.Color3f(0.0)
-            for file in self.files.values():
-                here, radiance = file.colour(ray, hit, minimal, active & ~held)
-                colour = dr.select(here, radiance, colour)
-                held |= here
-            result = _as_spectrum(mi, colour, ray.wavelengths, self.spectra)
-            si = hit.compute_surface_interaction(ray, mi.RayFlags.All, held)
-            if self.of_scene:
-                result *= mi.unpolarized_spectrum(si.bsdf(ray).eval_diffuse_reflectance(si, held))
-            if not self.hide_emitters:
-                result += mi.unpolarized_spectrum(si.emitter(scene, held).eval(si, held))
-            others, valid, _ = self.others.sample(scene, sampler, ray, medium, active & ~held)
-            return dr.select(held, _depolarized(mi, result), others), valid | held, []
-
-        def _find(self, scene: Any) -> None:
-            found = [file for file in self.files.values() if file.find(scene)]
-            if not found:
-                return
-            for file in found:
-                for remark in file.remarks():
-                    warn(mi, remark)
-            names = ", ".join(file.name for file in found)
-            others = [e.id() or e.class_name() for e in scene.emitters() if not e.is_environment()]
-            if others:
-                warn(mi, f"light of {', '.join(others)} does not reach shapes of {names}: they know distant light only")
-            if scene.environment() is None:
-                warn(mi, f"without distant light the shapes of {names} are black")
-
-        def _behind_emitters(self, scene: Any, ray: Any, hit: Any, active: Any) -> Any:
-            """What lies behind the shapes that emit light, as ``hide_emitters`` of ``direct`` has it."""
-            hidden = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None)) & active
-            si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-            return dr.select(hidden, self.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden), hit)
-
     return SlepianPRT
+
+
+# --- The integrator --------------------------------------------------------------------------------------------------
+
+
+class SlepianIntegrator:
+    """Shapes of transfer files, lit by the scene's own distant light.
+
+    Where a camera ray meets the front of a shape that a ``.prt`` file holds, its radiance is that of the relit
+    vertices around, interpolated; everywhere else it is what Mitsuba's ``direct`` draws.
+
+    ====================  =======  ===================================================================================
+    Parameter             Type     Meaning
+    ====================  =======  ===================================================================================
+    ``transfer``          string   Path of a ``.prt`` file, relative to the scene. Further ones are ``transfer_`` and
+                                   anything.
+    ``albedo``            string   ``file`` (default): what the file says that vertices reflect, which ``mi.traverse``
+                                   shows as ``albedo`` (of ``transfer_x`` as ``albedo_x``). ``scene``: what the
+                                   materials of the scene reflect diffusely.
+    ``window``            string   ``hann`` or ``lanczos``: damps ringing under small bright lights. By default none.
+    ``window_width``      float    The degree that the window falls to zero at.
+    ``hide_emitters``     boolean  Whether the environment and shapes that emit are left out of the picture. By
+                                   default not.
+    ``shading_samples``   integer  Of ``direct``, which draws everything else.
+    ``emitter_samples``   integer  Of ``direct``.
+    ``bsdf_samples``      integer  Of ``direct``.
+    ====================  =======  ===================================================================================
+
+    It works in all ``llvm_*`` and ``cuda_*`` variants: RGB, monochromatic and spectral, polarized too (its light is
+    unpolarized). Light may come from ``envmap``, ``constant``, ``sunsky`` and other environment emitters, and may
+    change between pictures; models may be moved, turned and evenly scaled since they were precomputed. Gradients, in
+    both modes, go to the texels and scale of an ``envmap``, to ``albedo``, and to diffuse reflectance if ``albedo`` is
+    ``scene``.
+
+    It does not work in ``scalar_*`` variants. Gradients do not go to geometry. Light of lamps does not reach shapes of
+    files, and their backs, gloss and transparency are drawn as the file has them: not at all. Mitsuba's log says so.
+
+    .. code-block:: python
+
+        mi.set_variant("llvm_ad_rgb")
+        slepian_prt.register()
+        scene = mi.load_dict({
+            "type": "scene",
+            "integrator": {"type": "slepian_prt", "transfer": "skull.prt"},
+            "skull": {"type": "ply", "filename": "skull.ply"},
+            "emitter": {"type": "envmap", "filename": "studio.exr"},
+        })
+        image = mi.render(scene)
+
+    .. code-block:: xml
+
+        <integrator type="slepian_prt">
+            <string name="transfer" value="skull.prt"/>
+        </integrator>
+    """
+
+    def __init__(self, mi: Any, properties: Any) -> None:
+        self._mi = mi
+        albedo = str(properties.get("albedo", "file"))
+        if albedo not in ("file", "scene"):
+            raise UserError(f"albedo of integrator {NAME} must be 'file' or 'scene', not {albedo!r}")
+        self._albedo_of_scene = albedo == "scene"
+        damping = _damping(str(properties.get("window", "")), properties.get("window_width", 0.0))
+        self._transfers = {
+            name: BoundTransfer(mi, path, damping, use_albedo=not self._albedo_of_scene)
+            for name, path in _transfer_paths(mi, properties).items()
+        }
+        for transfer in self._transfers.values():
+            if self._albedo_of_scene and transfer.packed.toward_view:
+                raise UserError(f"{transfer.name}: transfer toward a camera has its materials in it; leave out albedo")
+        self._direct = _direct_integrator(mi, properties)
+        self._spectra = smooth_spectra(mi).tolist() if mi.is_spectral else None
+
+    def __str__(self) -> str:
+        return f"SlepianPRT[{', '.join(f'{name} = {transfer.name}' for name, transfer in self._transfers.items())}]"
+
+    def traverse(self, callback: Any) -> None:
+        """Show the albedo of each file as a parameter of the scene."""
+        for name, transfer in self._transfers.items():
+            differentiable = self._mi.ParamFlags.Differentiable
+            callback.put(name.replace("transfer", "albedo", 1), transfer.albedo, differentiable)
+
+    def check_parameters(self) -> None:
+        """Raise UserError if a parameter was changed to something that cannot be."""
+        for transfer in self._transfers.values():
+            transfer.check_albedo()
+
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> tuple[Any, Any, list]:
+        """Radiance along camera rays: spectrum, whether it is valid, and no AOVs.
+
+        L = ρ Σ_i w_i Σ_lm e_lm t_lm(x_i), over the three vertices x_i of the triangle that is met.
+        """
+        import drjit as dr
+
+        mi = self._mi
+        self._bind(scene)
+        active = mi.Bool(active)
+        hit, minimal = self._first_hit(scene, ray, active)  # What camera rays meet, detached
+        shaded = mi.Bool(False)  # Whether that is the front of a shape of a file
+        srgb = mi.Color3f(0.0)  # Its radiance, linear sRGB
+
+        # --------------------- Shapes of files ---------------------
+
+        for transfer in self._transfers.values():
+            here, radiance = transfer.radiance(ray, hit, minimal, active & ~shaded)
+            srgb = dr.select(here, radiance, srgb)
+            shaded |= here
+        L = srgb_to_spectrum(mi, srgb, ray.wavelengths, self._spectra)
+
+        # --------- Their materials and light in the scene ----------
+
+        si = hit.compute_surface_interaction(ray, mi.RayFlags.All, shaded)
+        if self._albedo_of_scene:
+            L *= mi.unpolarized_spectrum(si.bsdf(ray).eval_diffuse_reflectance(si, shaded))
+        if not self._direct.hide_emitters:
+            L += mi.unpolarized_spectrum(si.emitter(scene, shaded).eval(si, shaded))
+
+        # --------------------- Everything else ---------------------
+
+        others, valid, _ = self._direct.sample(scene, sampler, ray, medium, active & ~shaded)
+        return dr.select(shaded, without_polarization(mi, L), others), valid | shaded, []
+
+    def _first_hit(self, scene: Any, ray: Any, active: Any) -> tuple[Any, Any]:
+        """What rays meet, as PreliminaryIntersection3f and as minimal SurfaceInteraction3f; not differentiated.
+
+        With ``hide_emitters``, that is what lies behind the shapes that emit light, as ``direct`` has it.
+        """
+        import drjit as dr
+
+        mi = self._mi
+        with dr.suspend_grad():
+            hit = scene.ray_intersect_preliminary(mi.Ray3f(ray), coherent=True, active=active)
+            if self._direct.hide_emitters:
+                hidden = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None)) & active
+                si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
+                behind = self._direct.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden)
+                hit = dr.select(hidden, behind, hit)
+            return hit, hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.Minimal, active & hit.is_valid())
+
+    def _bind(self, scene: Any) -> None:
+        """Match the files to a scene, and log what of it will not be seen on their shapes."""
+        bound = [transfer for transfer in self._transfers.values() if transfer.bind(scene)]
+        if not bound:
+            return
+        warnings = [text for transfer in bound for text in transfer.material_warnings()]
+        names = ", ".join(transfer.name for transfer in bound)
+        lamps = [emitter.id() or emitter.class_name() for emitter in scene.emitters() if not emitter.is_environment()]
+        if lamps:
+            warnings.append(
+                f"light of {', '.join(lamps)} does not reach shapes of {names}: they know distant light only"
+            )
+        if scene.environment() is None:
+            warnings.append(f"without distant light the shapes of {names} are black")
+        for text in warnings:
+            log_warning(self._mi, text)
+
+
+def _transfer_paths(mi: Any, properties: Any) -> dict[str, str]:
+    """Paths of files by the names of their parameters."""
+    names = sorted(name for name in properties if re.fullmatch("transfer(_.*)?", name))
+    if not names:
+        raise UserError(f"integrator {NAME} needs a parameter 'transfer', the path of a .prt file")
+    for name in names:
+        if not isinstance(properties[name], str):
+            raise UserError(f"{name} of integrator {NAME} must be the path of a file, not {properties[name]!r}")
+    return {name: str(mi.file_resolver().resolve(properties[name])) for name in names}
 
 
 def _damping(name: str, width: float) -> Callable[[int], NDArray[np.float64]]:
@@ -186,23 +266,11 @@ def _damping(name: str, width: float) -> Callable[[int], NDArray[np.float64]]:
     return lambda bandlimit: window(name, bandlimit, width)
 
 
-def _as_spectrum(mi: Any, colour: Any, wavelengths: Any, spectra: list[list[float]] | None) -> Any:
-    """Linear sRGB as an unpolarized spectrum of the variant."""
-    if mi.is_rgb:
-        return colour
-    if spectra is None:
-        return mi.Color1f(sum(part * weight for part, weight in zip(colour, _LUMINANCE, strict=True)))
-    amounts = [sum(weight * colour[c] for c, weight in enumerate(row)) for row in spectra]
-    spectrum = mi.UnpolarizedSpectrum(0.0)
-    for i, wavelength in enumerate(wavelengths):
-        spectrum[i] = sum(amount * part for amount, part in zip(amounts, smooth_basis(wavelength), strict=True))
-    return spectrum
-
-
-def _depolarized(mi: Any, spectrum: Any) -> Any:
-    """A spectrum of the variant; of a polarized one, light without polarization."""
-    if not mi.is_polarized:
-        return mi.Spectrum(spectrum)
-    full = mi.Spectrum(0.0)
-    full[0, 0] = spectrum
-    return full
+def _direct_integrator(mi: Any, properties: Any) -> Any:
+    """Mitsuba's ``direct``, with those of the parameters that are its own."""
+    own = mi.Properties("direct")
+    for name in _OF_DIRECT:
+        if name in properties:
+            own[name] = properties[name]
+    # Not by `load_dict`, which replaces the resolver of files for all threads that are loading this scene.
+    return mi.PluginManager.instance().create_object(own)

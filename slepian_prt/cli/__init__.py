@@ -1,0 +1,81 @@
+"""The command line: each command in the file of its name; here they are run, and what ends them gets one line."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import click
+
+from slepian_prt.cli.commands import cli, with_flags
+from slepian_prt.cli.messages import note
+from slepian_prt.errors import UserError
+
+__all__ = ["cli", "main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0, or 2 for a user's mistake with one line about it, or 1 for a fault of ours."""
+    try:
+        with _remarks():
+            outcome = cli.main(args=arguments, prog_name="slepian-prt", standalone_mode=False)
+        return outcome if isinstance(outcome, int) else 0
+    except UserError as error:
+        return _fail(2, with_flags(str(error)))
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return 0
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "slepian-prt"
+        return _fail(2, f"{error.format_message().rstrip('.')}; see {command} --help")
+    except click.ClickException as error:
+        return _fail(2, error.format_message())
+    except (KeyboardInterrupt, click.Abort):
+        return _fail(130, "interrupted; nothing was written")
+    except BrokenPipeError:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - so that the flush at exit is quiet too
+        return 0
+    except MemoryError:
+        return _fail(1, "out of memory; try a lower --bandlimit or fewer --samples")
+    except Exception as error:
+        if os.environ.get("SLEPIAN_PRT_DEBUG"):
+            traceback.print_exc()
+        reason = " ".join(str(error).split())
+        return _fail(
+            1, f"internal error, {type(error).__name__}: {reason} (SLEPIAN_PRT_DEBUG=1 shows where; please report it)"
+        )
+
+
+def _fail(code: int, message: str) -> int:
+    click.echo(f"slepian-prt: {message}", err=True)
+    return code
+
+
+@contextmanager
+def _remarks() -> Iterator[None]:
+    """Remarks of the library go to standard error, each once."""
+    log, handler = logging.getLogger("slepian_prt"), _Remarks()
+    level = log.level
+    log.setLevel(logging.INFO)
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
+
+
+class _Remarks(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__()
+        self._made: set[str] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage()
+        if text not in self._made:
+            self._made.add(text)
+            note(text)

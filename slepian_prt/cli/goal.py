@@ -1,0 +1,86 @@
+"""Precompute toward a goal, ``--max-error`` or ``--max-seconds``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from slepian_prt.cli.messages import note, say
+from slepian_prt.cli.terminal import describe, print_plan, print_table, progress
+
+if TYPE_CHECKING:
+    from slepian_prt.accuracy.goal import Goal
+    from slepian_prt.accuracy.run import BudgetedResult, Light
+    from slepian_prt.accuracy.trials import Choice
+    from slepian_prt.compression.settings import CompressionSettings
+    from slepian_prt.transport.settings import TransportSettings
+
+
+def precompute_toward(
+    scene: str,
+    output: str,
+    goal: Goal,
+    light: Light,
+    settings: CompressionSettings,
+    transport: TransportSettings,
+    started: float,
+) -> None:
+    """Toward a goal; what was foreseen and what came of it is told."""
+    from slepian_prt.accuracy.run import precompute_within
+
+    with progress("transport", "vertices") as (advance, report):
+        found = precompute_within(
+            scene,
+            goal,
+            light,
+            settings,
+            transport,
+            started=started,
+            on_plan=print_plan,
+            on_choice=_print_choices,
+            advance=advance,
+            report=report,
+        )
+    _print_verification(found, goal)
+    found.packed.save(output)
+    say(f"{output}: {describe(found.packed)}; {time.perf_counter() - started:.1f} s in all")
+
+
+def _print_choices(choices: Sequence[Choice], chosen: Choice, rest: float) -> None:
+    """What could be chosen, as a table; the choice is marked."""
+    headings = (
+        "", "rays", "L", "tolerance", "error of transport", "predicted error", "bytes/vertex, at most",
+        "transport", "compression", "in all",
+    )  # fmt: skip
+    rows = [
+        [
+            "→" if choice is chosen else "",
+            str(choice.samples),
+            str(choice.bandlimit),
+            f"{choice.tolerance:.3g}",
+            f"{choice.transport_error.max():.2%}",
+            f"{choice.worst:.2%} ± {choice.worst * choice.spread:.2%}",
+            f"{choice.coded.bytes_per_vertex:.2g}",
+            f"{choice.transport_seconds:.1f} s",
+            f"{choice.coded.seconds:.1f} s",
+            f"{rest + choice.seconds:.1f} s",
+        ]
+        for choice in sorted(choices, key=lambda c: c.seconds)
+    ]
+    print_table(dict.fromkeys(headings, "right"), rows, spare=("compression", "transport", "error of transport"))
+
+
+def _print_verification(found: BudgetedResult, goal: Goal) -> None:
+    checked = found.verification
+    for name, error, predicted, noise in zip(
+        checked.names, checked.error, checked.predicted, checked.noise, strict=True
+    ):
+        shown = f"{error:.2%}" if error > noise else f"below the noise, {noise:.2%}"
+        say(
+            f"verified on {checked.vertices} vertices held out, {name}: error {shown} (predicted {predicted:.2%}; "
+            f"noise of the reference {noise:.2%})"
+        )
+    say(f"predicted {checked.predicted_seconds:.1f} s, took {checked.seconds:.1f} s")
+    if goal.error is not None and checked.error.max() > goal.error:
+        note(f"the error is above the {goal.error:g} that was asked for")

@@ -1,0 +1,76 @@
+"""``slepian-prt info``."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slepian_prt.cli.commands import with_flags
+from slepian_prt.cli.options import file_argument, json_option
+
+if TYPE_CHECKING:
+    from slepian_prt.compression.compressed import CompressedTransfer
+
+
+@click.command()
+@file_argument
+@json_option
+def info(file: str, as_json: bool) -> None:
+    """What a transfer FILE holds, what was simulated, and what error to expect."""
+    from slepian_prt.compression.prt_file import load
+
+    packed = load(file)
+    content = _content(packed)
+    if as_json:
+        effects = [
+            {**effect.as_dict(), "name": with_flags(effect.name), "reason": with_flags(effect.reason)}
+            for effect in packed.effects
+        ]
+        click.echo(json.dumps({**content, "effects": effects}, indent=1))
+        return
+    from slepian_prt.cli.terminal import print_plan
+
+    width = max(map(len, content))
+    for name, value in (content | _in_words(packed)).items():
+        click.echo(f"{name:<{width}} {f'{value:.4g}' if isinstance(value, float) else value}")
+    print_plan(packed.effects)
+
+
+def _content(packed: CompressedTransfer) -> dict[str, Any]:
+    """All but the effects."""
+    return {
+        "source": packed.source,
+        "vertices": len(packed.mesh.positions),
+        "faces": len(packed.mesh.faces),
+        "bandlimit": packed.bandlimit,
+        "basis": packed.basis,
+        "coding": packed.coding,
+        "channels": packed.channels,
+        "bounces": packed.bounces,
+        "camera": None if packed.view is None else packed.view.name,
+        "toward_camera": packed.toward_view,
+        "clusters": len(packed.bases),
+        "terms": packed.terms,
+        "bytes_per_vertex": packed.bytes_per_vertex,
+        "predicted_error": packed.predicted_error,
+        "predicted_relit_error": packed.predicted_relit_error(),
+        "light_prior": packed.prior or None,
+        "predicted_error_under_prior": packed.predicted_error_under_prior,
+        "verified_error": packed.verified or None,
+        "samples": packed.samples,
+        "seed": packed.seed,
+        "rays_traced": packed.rays_traced,
+        "seconds": packed.seconds,
+        "notes": list(packed.mesh.notes),
+    }
+
+
+def _in_words(packed: CompressedTransfer) -> dict[str, str | None]:
+    """What JSON has as lists and tables."""
+    return {
+        "seconds": ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items()),
+        "verified_error": ", ".join(f"{name} {error:.4g}" for name, error in packed.verified.items()) or None,
+        "notes": "; ".join(packed.mesh.notes) or "none",
+    }

@@ -1,0 +1,77 @@
+"""What runs here: versions, the variant that is used, LLVM, cores and measured speed, with a remedy for each fault."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from slepian_prt.errors import UserError
+from slepian_prt.renderer import llvm
+from slepian_prt.renderer.variants import cuda_works, usable_variant
+
+_PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "trimesh", "OpenEXR")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the doctor: what was looked at, what was found, and, if it is not well, what to do."""
+
+    subject: str
+    value: str
+    ok: bool = True
+    remedy: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def examine() -> list[Finding]:
+    """Look at everything; anything that may kill the process is tried in a child."""
+    findings = [Finding("python", f"{platform.python_version()} on {platform.machine()} {platform.system()}")]
+    findings += [_package(name) for name in _PACKAGES]
+    findings.append(
+        Finding("cores", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()))
+    )
+    path, tried = llvm.find()
+    if path is None and not tried:
+        findings.append(Finding("LLVM", "no libLLVM found", False, llvm.REMEDY))
+    for attempt in tried:
+        if attempt.works:
+            findings.append(Finding("LLVM", f"{attempt.path} works"))
+        else:
+            # One that fails matters only if none works.
+            remedy = llvm.REMEDY if path is None else ""
+            findings.append(Finding("LLVM", f"{attempt.path}: {attempt.failure}", path is not None, remedy))
+    findings.append(Finding("CUDA", "works" if cuda_works() else "no device that OptiX can use (not needed)"))
+    try:
+        variant = usable_variant()
+    except UserError:
+        findings.append(Finding("variant", "none works", False, "mend what is reported above"))
+        return findings
+    findings.append(Finding("variant", variant))
+    findings.append(_speed())
+    return findings
+
+
+def _package(name: str) -> Finding:
+    try:
+        version = importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, "not installed", False, f"pip install {name}")
+    if name == "mitsuba" and not version.startswith("3.9."):
+        return Finding(name, version, False, "this version is not supported: pip install 'mitsuba>=3.9,<3.10'")
+    return Finding(name, version)
+
+
+def _speed() -> Finding:
+    run = subprocess.run([sys.executable, "-m", f"{__package__}.speed"], capture_output=True, text=True, timeout=300)
+    if run.returncode != 0:
+        lines = (run.stdout + run.stderr).strip().splitlines()
+        reason = lines[-1] if lines else f"exit status {run.returncode}"
+        return Finding("speed", f"tracing fails: {reason[:200]}", False, "reinstall Mitsuba, or " + llvm.REMEDY)
+    return Finding("speed", f"{1e-6 * float(run.stdout):.1f} Mrays/s (shadow rays, all stages of transport)")

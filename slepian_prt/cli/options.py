@@ -1,0 +1,118 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from slepian_prt.cli.values import Albedo, Names
+from slepian_prt.errors import UserError
+
+Decorator = Callable[[Any], Any]
+
+
+def together(*options: Decorator) -> Decorator:
+    """Several options as one decorator."""
+
+    def decorate(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+def output_option(what: str = "Where to write.") -> Decorator:
+    """Where results are written."""
+    return click.option("-o", "--output", required=True, type=click.Path(), help=what)
+
+
+def environment_option(what: str) -> Decorator:
+    """Maps, any number of them."""
+    text = f"{what}; may be given several times.  [default: the light of the .xml scene]"
+    return click.option("--environment", multiple=True, type=click.Path(), help=text)
+
+
+def width_option(what: str, default: int) -> Decorator:
+    """Width of pictures, checked."""
+    text = f"{what}, in pixels.  [default: that of the scene's camera, or {default}]"
+    return click.option("--width", type=int, callback=check_width, help=text)
+
+
+def noise_option(default: float) -> Decorator:
+    """Noise of references, checked."""
+    text = "Wanted relative noise of the references."
+    return click.option("--noise", default=default, show_default=True, callback=check_noise, help=text)
+
+
+scene_argument = click.argument("scene", type=click.Path())
+file_argument = click.argument("file", type=click.Path())
+json_option = click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+effects_option = click.option(
+    "--effects",
+    default="auto",
+    show_default=True,
+    metavar="WHICH",
+    help="auto, direct, all, none, or some of shadows,interreflection,colour (each needs those before it).",
+)
+albedo_option = click.option(
+    "--albedo",
+    type=Albedo(),
+    metavar="A|R,G,B",
+    help="Diffuse reflectance of a mesh file.  [default: 1, no interreflection]",
+)
+seed_option = click.option("--seed", default=0, show_default=True, help="The same seed gives the same result.")
+clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
+rotate_option = click.option(
+    "--rotate", default=0.0, show_default=True, metavar="DEG", help="Turn the map about the up axis y."
+)
+
+# What transport is asked for: the fields of `TransportSettings`.
+transport_options = together(
+    click.option("--bandlimit", default=10, show_default=True, help="Highest degree L of the spherical harmonics."),
+    click.option("--samples", default=1024, show_default=True, help="Rays per vertex, over the hemisphere."),
+    effects_option,
+    click.option(
+        "--bounces", type=int, help="Of light between surfaces.  [default: until what is left is below 0.1 %]"
+    ),
+    albedo_option,
+    click.option(
+        "--view", metavar="CAMERA", help="Of an .xml scene, by id or number: transfer of glossy materials toward it."
+    ),
+    seed_option,
+)
+
+# What is grouped into caps: fields of `CompressionSettings`.
+grouping_options = together(
+    click.option("--clusters", default=96, show_default=True, help="Number of caps."),
+    click.option(
+        "--group-by",
+        type=Names("group_by"),
+        default="normal",
+        show_default=True,
+        help="Caps of normals, of mean directions of unblocked light, or of patches of the surface.",
+    ),
+    click.option(
+        "--occlusion-classes",
+        default=1,
+        show_default=True,
+        help="Learn separately from so many classes of vertices, from occluded to open.",
+    ),
+)
+
+
+def check_width(_context: click.Context, _option: click.Parameter, width: int | None) -> int | None:
+    """Raise UserError unless a picture of that width is sensible."""
+    if width is not None and not 16 <= width <= 8192:
+        raise UserError(f"width must be between 16 and 8192 pixels, not {width}")
+    return width
+
+
+def check_noise(_context: click.Context, _option: click.Parameter, noise: float) -> float:
+    """Raise UserError unless references can be that exact."""
+    if not (math.isfinite(noise) and noise > 0.0):
+        raise UserError(f"noise must be a positive number, not {noise!r}")
+    return noise

@@ -1,0 +1,112 @@
+"""Kinds of values that options take, and readers of values that belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from slepian_prt.cli.messages import note
+from slepian_prt.errors import UserError
+
+if TYPE_CHECKING:
+    from slepian_prt.accuracy.goal import Light
+    from slepian_prt.lighting.environment import Environment
+
+Settings = TypeVar("Settings")
+
+
+class Names(click.Choice):
+    """One of the names in a table of the library, which is imported when they are needed."""
+
+    def __init__(self, option: str) -> None:
+        self._option = option
+        self.case_sensitive = True
+
+    @cached_property
+    def choices(self) -> tuple[str, ...]:  # type: ignore[override]
+        return names_of(self._option)
+
+
+def names_of(option: str) -> tuple[str, ...]:
+    """What an option may be, from the tables of the library."""
+    from slepian_prt.compression.settings import BASES, CODINGS, GROUPINGS
+    from slepian_prt.compression.truncation import TRUNCATIONS
+    from slepian_prt.lighting.windowing import WINDOWS
+
+    tables = {
+        "basis": (*BASES, "none"),
+        "coding": CODINGS,
+        "group_by": GROUPINGS,
+        "truncate": TRUNCATIONS,
+        "window": WINDOWS,
+    }
+    return tables[option]
+
+
+class Albedo(click.ParamType):
+    """One number, or three with commas between."""
+
+    name = "albedo"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+        try:
+            return [float(part) for part in value.split(",")]
+        except ValueError:
+            raise UserError(f"`albedo` must be one number between 0 and 1, or three as R,G,B; not {value!r}") from None
+
+
+class Several(click.ParamType):
+    """Values of one kind with commas between."""
+
+    name = "list"
+
+    def __init__(self, kind: Callable[[str], Any]) -> None:
+        self._kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[Any, ...]:
+        try:
+            return tuple(self._kind(part) for part in value.split(","))
+        except ValueError:
+            assert param is not None
+            raise UserError(f"`{param.name}` must be numbers with commas between, not {value!r}") from None
+
+
+def settings_of(kind: Callable[..., Settings], options: dict[str, Any], **more: Any) -> Settings:
+    """The dataclass ``kind`` from those options that are its fields."""
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    return kind(**{name: value for name, value in options.items() if name in names}, **more)
+
+
+def read_maps(paths: Sequence[str], clamp_negative: bool, rotate: float = 0.0) -> list[Environment]:
+    """The environments that are named; what was mended in them is noted."""
+    from slepian_prt.lighting.environment import check_names
+
+    check_names(paths)
+    return [_read_map(path, clamp_negative).rotated(rotate) for path in paths]
+
+
+def _read_map(path: str, clamp_negative: bool) -> Environment:
+    from slepian_prt.lighting.environment import read_environment
+
+    light = read_environment(path, clamp_negative=clamp_negative)
+    if light.clamped:
+        note(f"{path}: {light.clamped} negative texels set to zero")
+    return light
+
+
+def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Light:
+    """The light that errors count under: maps, and what compression is made for."""
+    from slepian_prt.accuracy.goal import Light
+    from slepian_prt.lighting.spectrum import FALLING
+
+    if "" in light_prior:
+        raise UserError(f"`light_prior` is empty; give {FALLING} or a map")
+    if FALLING in light_prior and len(light_prior) > 1:
+        raise UserError(f"`light_prior` is either {FALLING} or maps, not both")
+    known = () if FALLING in light_prior else tuple(_read_map(path, True) for path in light_prior)
+    named = ", ".join(light.name for light in known) or "".join(light_prior)
+    return Light(tuple(read_maps(environment, True)), named, known)

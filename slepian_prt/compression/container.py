@@ -1,0 +1,106 @@
+"""The container of ``.prt`` files: a zip archive of ``manifest.json`` and one ``.npy`` per array.
+
+Any zip tool lists it, numpy reads its members, nothing in it is executable, and every member has a checksum. Float
+arrays are stored as they are, so that they can be mapped or read in part; the others are deflated.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.files import atomic_output
+
+FORMAT = "slepian_prt transfer"
+VERSION = 2
+
+# A fixed time stamp: the same content gives the same bytes.
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+def write(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    """Write a file complete or not at all.
+
+    Raises
+    ------
+    UserError
+        The folder is missing or not writable, or the disk is full.
+    """
+    with atomic_output(path) as file, zipfile.ZipFile(file, "w") as container:
+        content = {"format": FORMAT, "version": VERSION, "arrays": list(arrays), **manifest}
+        _add(container, "manifest.json", json.dumps(content, indent=1).encode(), zipfile.ZIP_DEFLATED)
+        for name, array in arrays.items():
+            _add(container, f"{name}.npy", _npy(array), _compression(array))
+
+
+def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """Manifest and arrays of a file, every checksum verified.
+
+    Raises
+    ------
+    UserError
+        Missing, foreign, cut short, damaged, or from a newer version.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a transfer file")
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; slepian-prt precompute makes one")
+    try:
+        with zipfile.ZipFile(path) as container:
+            manifest = json.loads(container.read("manifest.json"))
+            if manifest.get("format") != FORMAT:
+                raise UserError(f"{path}: is not a transfer file of slepian-prt; precompute one")
+            if manifest["version"] != VERSION:
+                remedy = "update slepian_prt" if manifest["version"] > VERSION else "precompute it again"
+                raise UserError(
+                    f"{path}: has format version {manifest['version']}, this program reads {VERSION}; {remedy}"
+                )
+            arrays = {}
+            for name in manifest["arrays"]:
+                with container.open(f"{name}.npy") as member:
+                    arrays[name] = np.lib.format.read_array(io.BytesIO(member.read()), allow_pickle=False)
+    except UserError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, AttributeError, TypeError) as error:
+        reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
+        raise UserError(
+            f"{path}: is not a transfer file, or is cut short or damaged ({reason}); precompute it again"
+        ) from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+    return manifest, arrays
+
+
+def encoded_size(arrays: dict[str, NDArray]) -> int:
+    """Bytes that arrays take in a file, everything about them counted."""
+    counter = io.BytesIO()
+    with zipfile.ZipFile(counter, "w") as container:
+        empty = counter.tell()
+        for name, array in arrays.items():
+            _add(container, f"{name}.npy", _npy(array), _compression(array))
+    return counter.tell() - empty
+
+
+def _add(container: zipfile.ZipFile, name: str, content: bytes, compression: int) -> None:
+    information = zipfile.ZipInfo(name, _EPOCH)
+    information.compress_type = compression
+    container.writestr(information, content)
+
+
+def _npy(array: NDArray) -> bytes:
+    buffer = io.BytesIO()
+    np.lib.format.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
+    return buffer.getvalue()
+
+
+def _compression(array: NDArray) -> int:
+    return zipfile.ZIP_STORED if array.dtype.kind == "f" else zipfile.ZIP_DEFLATED

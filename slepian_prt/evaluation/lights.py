@@ -1,0 +1,31 @@
+"""The environments that something is measured under: maps, or the light of the scene itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from slepian_prt.errors import UserError
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.scene.scene import Scene
+
+
+def check_lights(scene: str | Path, environments: Sequence[Environment]) -> None:
+    """Raise UserError, before the scene is opened, if there is no map and it cannot have a light of its own."""
+    if not environments and Path(scene).suffix.lower() != ".xml":
+        raise UserError("no light: name a map with `environment` (only a Mitsuba .xml scene may have its own)")
+
+
+def lights_of(scene: Scene, environments: Sequence[Environment]) -> tuple[Environment, ...]:
+    """The maps, or without any the scene's own distant light.
+
+    Raises
+    ------
+    UserError
+        There is neither.
+    """
+    if environments:
+        return tuple(environments)
+    if scene.environment is None:
+        raise UserError(f"{scene.path}: the scene has no distant light of its own; name a map with `environment`")
+    return (scene.environment,)

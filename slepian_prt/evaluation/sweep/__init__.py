@@ -1,0 +1,1 @@
+"""What accuracy costs: error, seconds and bytes of many settings, each measured."""

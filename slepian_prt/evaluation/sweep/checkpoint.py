@@ -1,0 +1,86 @@
+"""Finished settings of a sweep on disk, so that one that was stopped goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from slepian_prt.evaluation.provenance import machine, versions
+from slepian_prt.evaluation.sweep.axes import Setting
+from slepian_prt.evaluation.sweep.results import Point
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.transport.planned import PlannedScene
+
+
+class SweepCheckpoint:
+    """A file of finished settings for one scene, maps, noise and machine; without a path, none.
+
+    Parameters
+    ----------
+    path : path or None
+        CompressionSettings of anything else in that file are passed over.
+    planned : PlannedScene
+    environments : sequence of Environment
+    noise : float
+
+    Attributes
+    ----------
+    points : dict of Setting to Point
+        Those in the file when it was opened.
+    """
+
+    def __init__(
+        self, path: Path | None, planned: PlannedScene, environments: Sequence[Environment], noise: float
+    ) -> None:
+        self._path = path
+        self._key = _fingerprint(planned, environments, noise)
+        self.points: dict[Setting, Point] = {}
+        if path is None or not path.is_file():
+            return
+        for line in path.read_text().splitlines():
+            try:
+                entry = json.loads(line)
+                if entry.pop("key") == self._key:
+                    point = Point.from_dict(entry)
+                    self.points[point.setting] = point
+            except (ValueError, KeyError, TypeError, AttributeError):
+                continue  # the line that was being written when it was killed
+
+    def add(self, point: Point) -> None:
+        """Keep a point, on the disk when this returns."""
+        if self._path is None:
+            return
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a") as file:
+            file.write(json.dumps({"key": self._key, **point.as_dict()}) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def remove(self) -> None:
+        """Delete the file, when all is done."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+
+def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noise: float) -> str:
+    """A digest of everything but the axes that a point depends on."""
+    digest = hashlib.sha256()
+    settings = replace(planned.settings, samples=1, bandlimit=0, bounces=None)
+    digest.update(repr((versions(), machine(), settings, noise)).encode())
+    mesh = planned.scene.mesh
+    for array in (mesh.positions, mesh.normals, mesh.faces, mesh.albedo):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for shape in planned.scene.occluders:
+        box = shape.bbox()
+        area = float(np.array(shape.surface_area()).ravel()[0])
+        digest.update(repr((np.array(box.min), np.array(box.max), area)).encode())
+    for environment in environments:
+        digest.update(repr((environment.name, environment.to_world.tolist())).encode())
+        digest.update(environment.texels.tobytes())
+    return digest.hexdigest()[:32]

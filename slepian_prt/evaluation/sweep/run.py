@@ -1,0 +1,108 @@
+"""The sweep itself: transport once for each number of rays and bounces, every setting measured on it.
+
+Errors are those of relit radiance at a sample of the vertices, against Monte Carlo without a bandlimit whose own noise
+is stated. Rays are traced at the highest bandlimit; transfer of a lower one is its first coefficients.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from slepian_prt.evaluation.lights import check_lights, lights_of
+from slepian_prt.evaluation.sweep.axes import Axes
+from slepian_prt.evaluation.sweep.checkpoint import SweepCheckpoint
+from slepian_prt.evaluation.sweep.measure import SettingMeasurer, measure_references, measure_shares
+from slepian_prt.evaluation.sweep.results import Sweep
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.planned import PlannedScene, plan_scene
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.transfer import compute_transfer
+
+
+def sweep(
+    scene: str | Path,
+    environments: Sequence[Environment],
+    axes: Axes,
+    transport: TransportSettings,
+    *,
+    noise: float = 0.005,
+    checkpoint: Path | None = None,
+    report: Callable[[str], None] = lambda _: None,
+    advance: Callable[[int, int], None] = lambda _done, _total: None,
+    on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
+) -> Sweep:
+    """Measure every setting.
+
+    Parameters
+    ----------
+    scene : path
+    environments : maps; without any, the light of a Mitsuba scene itself
+    axes : Axes
+    transport : TransportSettings
+        Of it the effects, albedo and seed count.
+    noise : wanted relative RMS noise of the references
+    checkpoint : path
+        Where finished settings are kept until all are done; those found there are not measured again.
+    report : given the name of each step as it begins
+    advance : given (settings finished since the last call, settings in all)
+    on_plan : as of `precompute`
+
+    Raises
+    ------
+    UserError
+    """
+    axes.check()
+    check_lights(scene, environments)
+    settings = list(axes.settings())
+    finest = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
+    with plan_scene(scene, finest, on_plan) as planned:
+        environments = lights_of(planned.scene, environments)
+        kept = SweepCheckpoint(checkpoint, planned, environments, noise)
+        points = {setting: kept.points[setting] for setting in settings if setting in kept.points}
+        if points:
+            report(f"{len(points)} of {len(settings)} settings were measured before and are kept")
+            advance(len(points), len(settings))
+        shared = {**planned.clock.seconds, "kernels": _compile_kernels(planned)}
+        report("references")
+        metrics = measure_references(planned, environments, axes, noise)
+        references = next(iter(metrics.values())).references
+        shared["references"] = sum(reference.seconds for reference in references)
+        measurer = SettingMeasurer(metrics)
+        for samples, bounces in product(sorted(axes.samples, reverse=True), axes.bounces):
+            left = [s for s in settings if (s.samples, s.bounces) == (samples, bounces) and s not in points]
+            if not left:
+                continue
+            report(f"transport, {samples} rays, L = {finest.bandlimit}")
+            of_rays = planned.with_settings(samples=samples, bounces=bounces)
+            shares = measure_shares(of_rays, axes.bandlimits)
+            of_rays.clock.stop("timing")
+            transfer = compute_transfer(of_rays)
+            for setting in left:
+                report(setting.label)
+                points[setting] = measurer.measure(setting, transfer, shares[setting.bandlimit])
+                kept.add(points[setting])
+                advance(1, len(settings))
+    kept.remove()
+    return Sweep(
+        str(scene),
+        len(planned.scene.mesh.positions),
+        tuple(environment.name for environment in environments),
+        {light.name: reference.noise for light, reference in zip(environments, references, strict=True)},
+        tuple(points[setting] for setting in settings),
+        shared,
+        planned.plan.effects,
+    )
+
+
+def _compile_kernels(planned: PlannedScene) -> float:
+    """Seconds that the first few vertices take."""
+    begin = time.perf_counter()
+    planned.estimator().estimate(np.flatnonzero(planned.scene.mesh.receivers.active)[:64])
+    return time.perf_counter() - begin

@@ -1,0 +1,150 @@
+"""A camera as a linear map from radiance of the receivers to pixels, traced with Mitsuba's rays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.relighting.pictures import Picture
+from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.scene import Scene
+from slepian_prt.scene.sensors import sensor
+
+_SEED = 17
+
+# Of a relit picture where the scene has no camera, in pixels.
+_WIDTH = 800
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A view of a scene as a linear map from radiance per receiver to pixels.
+
+    Tracing it takes a second or two; after that every relit picture is one sparse product.
+
+    Attributes
+    ----------
+    weights : sparse (H W, V)
+        Filtered barycentric weights of all camera rays that meet the front of a receiver's surface.
+    alpha : (H, W)
+        Part of each pixel that shows the front of such a surface.
+    behind : (H, W)
+        Part that shows something else of the scene: the back of a surface, on which transfer knows no light, or a
+        shape that only casts shadows.
+    """
+
+    weights: csr_array
+    alpha: NDArray[np.float32]
+    behind: NDArray[np.float32]
+
+    def masked(self, picture: Picture) -> Picture:
+        """Another renderer's picture of the same view, reduced to what `picture` shows."""
+        share = self.alpha / np.maximum(self.alpha + self.behind, 1e-6)
+        return Picture((picture.radiance * share[..., None]).astype(np.float32), self.alpha)
+
+    def picture(self, radiance: NDArray) -> Picture:
+        """Draw radiance per receiver, (V, 3), against an empty background."""
+        pixels = np.asarray(self.weights @ radiance.astype(np.float32), dtype=np.float32)
+        return Picture(pixels.reshape(*self.alpha.shape, 3), self.alpha)
+
+
+def relit_camera(packed: CompressedTransfer, width: int | None = None) -> Camera:
+    """The camera of the scene that was precomputed, or one that frames its mesh and is by default 800 pixels wide."""
+    with open_scene(packed.mesh) as scene:
+        return trace_camera(replace(scene, view=packed.view), width or (None if packed.view else _WIDTH))
+
+
+def trace_camera(scene: Scene, width: int | None = None, strata: int = 5) -> Camera:
+    """Trace the scene's camera, or one that frames it.
+
+    Rays are weighted with the reconstruction filter of the film, so that the picture is comparable with Mitsuba's.
+
+    Parameters
+    ----------
+    scene : Scene
+    width : int, optional
+        In pixels, by default that of the scene's film.
+    strata : int
+        Each pixel gets ``strata``² rays.
+    """
+    import drjit as dr
+
+    view = sensor(scene, width)
+    columns, rows = (int(n) for n in view.film().size())
+    pixels = rows * columns
+    weights = csr_array((pixels, len(scene.mesh.positions)), dtype=np.float32)  # Σ filter × barycentric
+    filter_sum = np.zeros(pixels)  # Σ filter, of all rays
+    met = np.zeros(pixels)  # of those that meet any shape
+    covered = np.zeros(pixels)  # of those that meet the front of a receiver's surface
+    for position, w in _film_samples(scene.mi, view.film(), strata):
+        ray, _ = view.sample_ray(0.0, 0.5, position, scene.mi.Point2f(0.5, 0.5))
+        valid, front, barycentric = _trace_barycentric(scene, ray)
+        filter_sum += w
+        met += w * valid
+        covered += w * front
+        barycentric.data *= np.repeat(w, np.diff(barycentric.indptr))
+        weights = weights + barycentric
+    dr.flush_malloc_cache()
+    scale = 1.0 / np.maximum(filter_sum, 1e-12)
+    weights.data *= np.repeat(scale, np.diff(weights.indptr)).astype(np.float32)
+    alpha, behind = ((part * scale).astype(np.float32).reshape(rows, columns) for part in (covered, met - covered))
+    return Camera(weights, alpha, np.maximum(behind, 0.0))
+
+
+def _film_samples(mi: Any, film: Any, strata: int) -> Iterator[tuple[Any, NDArray[np.float32]]]:
+    """A place on the film for each pixel, jittered in one stratum of its filter after the other, and filter weights.
+
+    Places are Point2f in [0, 1]², row by row.
+    """
+    columns, rows = (int(n) for n in film.size())
+    reconstruction = film.rfilter()
+    radius = float(reconstruction.radius())
+    rng = np.random.default_rng(_SEED)
+    pixel = np.arange(rows * columns)
+    x, y = (pixel % columns).astype(np.float32), (pixel // columns).astype(np.float32)
+    for stratum in range(strata * strata):
+        jitter = (rng.random((2, pixel.size)) + [[stratum % strata], [stratum // strata]]) / strata
+        dx, dy = ((2.0 * jitter - 1.0) * radius).astype(np.float32)
+        weight = np.array(reconstruction.eval(mi.Float(dx))) * np.array(reconstruction.eval(mi.Float(dy)))
+        yield mi.Point2f((x + 0.5 + dx) / columns, (y + 0.5 + dy) / rows), weight
+
+
+def _trace_barycentric(scene: Scene, ray: Any) -> tuple[NDArray[np.bool_], NDArray[np.bool_], csr_array]:
+    """What P rays meet.
+
+    Returns
+    -------
+    valid : (P,)
+        Whether that is any shape.
+    front : (P,)
+        Whether it is the front of a receiver's surface.
+    barycentric : sparse (P, V) float32
+        Weights of the receivers there.
+    """
+    import drjit as dr
+
+    mi = scene.mi
+    hit = scene.geometry.ray_intersect_preliminary(ray)
+    # A ray that slips through an edge of a closed mesh meets its back too: without this test, bright speckles.
+    si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit.is_valid())
+    facing = hit.is_valid() & (dr.dot(si.n, ray.d) < 0.0)
+    front = np.zeros(dr.width(ray), dtype=bool)
+    shape = (front.size, len(scene.mesh.positions))
+    barycentric = csr_array(shape, dtype=np.float32)
+    for part, mesh in zip(scene.parts, scene.shapes, strict=False):
+        on_part = np.array(facing & (hit.shape == mi.ShapePtr(mesh)))
+        if not on_part.any():
+            continue
+        rays = np.flatnonzero(on_part)
+        corners = np.array(mesh.face_indices(hit.prim_index, mi.Bool(on_part)))[:, rays] + part.first
+        u, v = np.array(hit.prim_uv)[:, rays]
+        entries = np.concatenate([1.0 - u - v, u, v]).astype(np.float32)
+        barycentric = barycentric + csr_array((entries, (np.tile(rays, 3), corners.ravel())), shape=shape)
+        front |= on_part
+    return np.array(hit.is_valid()), front, barycentric

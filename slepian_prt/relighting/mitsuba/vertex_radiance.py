@@ -1,0 +1,99 @@
+"""Radiance of a file's vertices under the light of a Mitsuba scene, computed again when that changes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.relighting.mitsuba.emission import distant_light
+from slepian_prt.relighting.mitsuba.linear_op import linear_op
+from slepian_prt.relighting.operator import transfer_operator
+from slepian_prt.relighting.relight import negative_fraction
+from slepian_prt.sphere.harmonics import degrees
+
+
+class VertexRadiance:
+    """Radiance of the vertices of a file for unit albedo, on Mitsuba's arrays.
+
+    Parameters
+    ----------
+    mi : Mitsuba, in the variant of the scene
+    packed : CompressedTransfer
+    turn : (3, 3)
+        Rotation from the scene to the world of the file.
+    damping : (L+1,)
+        Factor of each degree of the light.
+
+    Attributes
+    ----------
+    negative : float
+        Fraction of the vertices that were negative under the last light, see `negative_fraction`.
+    """
+
+    def __init__(
+        self, mi: Any, packed: CompressedTransfer, turn: NDArray[np.float64], damping: NDArray[np.float64]
+    ) -> None:
+        self._mi, self._packed, self._turn = mi, packed, turn
+        self._damping = np.tile(damping[degrees(packed.bandlimit)], 3).astype(np.float32)
+        self.negative = 0.0
+        self._last_emitter: dict[str, Any] | None = None
+        self._last_radiance: Any = None
+
+    def under(self, emitter: Any) -> Any:
+        """(3 V,) flat Float; what was computed last if the emitter is as it was then. Without emitter, zeros."""
+        import drjit as dr
+
+        mi = self._mi
+        if emitter is None:
+            return dr.zeros(mi.Float, self._packed.mesh.albedo.size)
+        state = _parameters(mi, emitter)
+        if self._last_emitter is not None and _unchanged(self._last_emitter, state):
+            return self._last_radiance
+        radiance = self._relight(distant_light(mi, emitter, self._packed.bandlimit, self._turn))
+        if not dr.grad_enabled(radiance):
+            self._last_emitter, self._last_radiance = state, radiance
+            self.negative = negative_fraction(np.array(radiance).reshape(-1, 3))
+        return radiance
+
+    def _relight(self, light: Any) -> Any:
+        operator = transfer_operator(self._packed)
+
+        def apply(lighting: NDArray) -> NDArray:
+            return operator.apply(lighting.reshape(1, 3, -1))[0]
+
+        def adjoint(gradient: NDArray) -> NDArray:
+            return operator.adjoint(gradient.reshape(1, -1, 3))[0]
+
+        return linear_op(apply, adjoint, light * self._mi.Float(self._damping), self._mi.Float)
+
+
+def _parameters(mi: Any, emitter: Any) -> dict[str, Any]:
+    """What ``mi.traverse`` gives, copied, since that changes with the emitter; of arrays only their handles are."""
+    import drjit as dr
+
+    return {
+        name: type(value)(value) if dr.is_array_v(value) else repr(value)
+        for name, value in mi.traverse(emitter).items()
+    }
+
+
+def _unchanged(before: dict[str, Any], now: dict[str, Any]) -> bool:
+    """Whether the parameters of an emitter are the same; not so while gradients are followed."""
+    return list(before) == list(now) and all(_same(before[name], now[name]) for name in now)
+
+
+def _same(old: Any, new: Any) -> bool:
+    import drjit as dr
+
+    if type(old) is not type(new):
+        return False
+    if not dr.is_array_v(new):
+        return bool(old == new)
+    if dr.grad_enabled(new) or old.shape != new.shape:
+        return False
+    a, b = (x.array if dr.is_tensor_v(x) else x for x in (old, new))
+    # Equal indices are the same array in memory; others are compared, which is still faster than relighting.
+    return getattr(a, "index", -1) == getattr(b, "index", -2) or np.array_equal(np.array(a), np.array(b))

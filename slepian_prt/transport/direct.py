@@ -1,0 +1,134 @@
+"""Direct shadowed diffuse transport.
+
+t_lm(x) = (1/π) ∫ V(x,ω) (n·ω)₊ y_lm(ω) dω  =  A_l y_lm(n) - (1/π) ∫ (1 - V) (n·ω)₊ y_lm dω
+
+The first part is exact; rays measure only what is blocked. All receivers share one set of directions in their own
+frames, each turned by its own angle about the normal so that the error does not band (`hemisphere`). Where the ends of
+an edge of the set disagree, visibility is bisected along it (`visibility`). What a receiver then is the sum of are rows
+of tables (`occlusion`), followed by a rotation of each vector into the world.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.scene.scene import Scene
+from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.directions import direction_set
+from slepian_prt.transport.effects import Plan
+from slepian_prt.transport.estimator import Estimator, TransferBlock, cut_pieces, receivers_per_block
+from slepian_prt.transport.occlusion import OcclusionTables
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.visibility import VisibilitySamples, VisibilityTracer
+
+# Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
+_RAYS_PER_BLOCK = 1 << 20
+
+# The constant harmonic's coefficient times this is the part of the hemisphere.
+_MEAN = np.float32(math.sqrt(4.0 * math.pi))
+
+
+def unoccluded_transfer(bandlimit: int, normals: NDArray) -> NDArray[np.float32]:
+    """A_l y_lm(n), shape (V, (L+1)²); zero where the normal is zero."""
+    return zonal_vectors(cosine_lobe(bandlimit), normals)
+
+
+class _TracedBlock(NamedTuple):
+    """Receivers, which of them were traced (their places), what was found there, and the rays that it took."""
+
+    vertices: NDArray[np.int64]
+    traced: NDArray[np.int64]
+    visibility: VisibilitySamples | None
+    rays: int
+
+
+@dataclass(frozen=True, eq=False)
+class DirectTransfer(Estimator[_TracedBlock]):
+    """Direct, shadowed, diffuse transfer of unit albedo.
+
+    Attributes
+    ----------
+    scene : Scene
+    bandlimit : int
+    nodes : int
+        Directions that every traced receiver looks in at first; see `nodes_for`.
+    shadowed : (n,)
+        Receivers to trace; the others are taken to see all of their hemisphere.
+    seed : int
+        Of the turns about the normals. The same seed gives the same bits.
+    """
+
+    scene: Scene
+    bandlimit: int
+    nodes: int
+    shadowed: NDArray[np.int64]
+    seed: int
+
+    channels: ClassVar[int] = 1
+
+    @classmethod
+    def planned(cls, scene: Scene, settings: TransportSettings, plan: Plan) -> DirectTransfer:
+        """As a plan wants it."""
+        return cls(scene, settings.bandlimit, plan.nodes, plan.shadowed, settings.seed)
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(V, 3) normals."""
+        return self.scene.receivers.normals
+
+    @property
+    def rays(self) -> int:
+        """Number traced so far."""
+        return self._tracer.rays if self.shadowed.size else 0
+
+    @property
+    def block_size(self) -> int:
+        """Receivers that are traced at a time."""
+        return receivers_per_block(self.nodes, _RAYS_PER_BLOCK, num_coefficients(self.bandlimit))
+
+    @cached_property
+    def _is_traced(self) -> NDArray[np.bool_]:
+        traced = np.zeros(len(self.scene.receivers), dtype=bool)
+        traced[self.shadowed] = True
+        return traced
+
+    @cached_property
+    def _tracer(self) -> VisibilityTracer:
+        return VisibilityTracer(self.scene, direction_set(self.nodes), self.seed)
+
+    @cached_property
+    def _tables(self) -> OcclusionTables:
+        return OcclusionTables(direction_set(self.nodes), self.bandlimit)
+
+    def pieces(self) -> list[NDArray[np.int64]]:
+        """All receivers, in pieces of about as many rays."""
+        return cut_pieces(self.scene, self._is_traced, self.block_size)
+
+    def trace(self, vertices: NDArray) -> _TracedBlock:
+        """Find what is blocked for those of the receivers that can be shadowed."""
+        traced = np.flatnonzero(self._is_traced[vertices])
+        if traced.size == 0:
+            return _TracedBlock(vertices, traced, None, 0)
+        before = self._tracer.rays
+        visibility = self._tracer.trace(vertices[traced])
+        return _TracedBlock(vertices, traced, visibility, self._tracer.rays - before)
+
+    def project(self, samples: _TracedBlock) -> TransferBlock:
+        """What is not blocked, as transfer vectors."""
+        vertices, traced, visibility, rays = samples
+        vectors = unoccluded_transfer(self.bandlimit, self.scene.receivers.normals[vertices])
+        blocked = np.zeros(vertices.size, dtype=np.float32)
+        if visibility is not None:
+            occluded = self._tables.blocked(visibility)
+            closed = np.all(visibility.blocked, axis=0)
+            vectors[traced] -= occluded
+            vectors[traced[closed]] = 0.0  # exactly, where nothing is seen but surfaces
+            blocked[traced] = np.where(closed, 1.0, occluded[:, 0] * _MEAN)
+        return TransferBlock(vertices, vectors[:, None, :], blocked, rays)

@@ -1,0 +1,89 @@
+"""Rays over the hemispheres of receivers, along one set of directions that all of them share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.scene.scene import Scene
+from slepian_prt.sphere.rotation import rotation_to
+from slepian_prt.transport.directions import DirectionSet
+
+
+class HemisphereRays:
+    """Rays from receivers along a set of directions, each receiver in its own frame.
+
+    The frames are turned about the normals by angles at random, so that errors do not band.
+
+    Attributes
+    ----------
+    directions : DirectionSet
+    geometry : Mitsuba scene
+    rays : int
+        Number traced so far.
+    """
+
+    def __init__(self, scene: Scene, directions: DirectionSet, seed: int) -> None:
+        mi = scene.mi
+        self.mi, self.geometry = mi, scene.geometry
+        self.directions, self.rays = directions, 0
+        self._normals, self._origins = scene.receivers.normals, scene.ray_origins
+        self._turns = np.random.default_rng(seed).random(len(self._normals)) * 2.0 * math.pi
+        self._vectors = mi.Vector3f(directions.vectors.T.astype(np.float32))
+
+    def frames(self, vertices: NDArray) -> NDArray[np.float64]:
+        """(n, 3, 3) rotations that take z to the normal, after a turn about z."""
+        return turned_frames(self._normals[vertices], self._turns[vertices])
+
+    def rays_from(self, vertices: NDArray, frames: NDArray) -> Callable[[Any, Any], Any]:
+        """Upload receivers; returns a function that makes Mitsuba rays of (place among them, direction of the set)."""
+        import drjit as dr
+
+        mi = self.mi
+        origin = mi.Point3f(self._origins[vertices].T.astype(np.float32))
+        to_world = upload_frames(mi, frames)
+
+        def rays(place: Any, direction: Any) -> Any:
+            self.rays += dr.width(place)
+            local = dr.gather(mi.Vector3f, self._vectors, direction)
+            return mi.Ray3f(dr.gather(mi.Point3f, origin, place), to_world(place, local))
+
+        return rays
+
+    def to_nodes(self, count: int) -> tuple[Any, Any]:
+        """Places and directions of all nodes for ``count`` receivers, those of one receiver side by side."""
+        import drjit as dr
+
+        size = dr.opaque(self.mi.UInt32, self.directions.size)
+        lane = dr.arange(self.mi.UInt32, count * self.directions.size)
+        place = lane // size
+        return place, lane - place * size
+
+
+def upload_frames(mi: Any, frames: NDArray) -> Callable[[Any, Any], Any]:
+    """Give Mitsuba rotations (n, 3, 3); returns a function that rotates vectors, each by the frame of its place."""
+    import drjit as dr
+
+    x, y, z = (mi.Vector3f(frames[:, :, axis].T.astype(np.float32)) for axis in range(3))
+
+    def to_world(place: Any, local: Any) -> Any:
+        return (
+            dr.gather(mi.Vector3f, x, place) * local.x
+            + dr.gather(mi.Vector3f, y, place) * local.y
+            + dr.gather(mi.Vector3f, z, place) * local.z
+        )
+
+    return to_world
+
+
+def turned_frames(axes: NDArray, turns: NDArray) -> NDArray[np.float64]:
+    """(n, 3, 3) rotations that take z to each axis, after a turn about z by the angles given, in radians."""
+    frames = rotation_to(axes)
+    c, s = np.cos(turns)[:, None], np.sin(turns)[:, None]
+    x, y = frames[:, :, 0].copy(), frames[:, :, 1].copy()
+    frames[:, :, 0], frames[:, :, 1] = c * x + s * y, c * y - s * x
+    return frames

@@ -1,0 +1,130 @@
+"""A scene that is loaded and planned: what estimators are made from."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from slepian_prt.errors import UserError
+from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.scene import Scene
+from slepian_prt.transport.direct import DirectTransfer
+from slepian_prt.transport.effects import Effect, Plan
+from slepian_prt.transport.estimator import Estimator
+from slepian_prt.transport.glossy import ViewTransfer
+from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.transport.survey import Survey
+
+log = logging.getLogger(__name__)
+
+# What fills blocks of vectors, by `Plan.estimator`. A new estimator is a file of its own and a line here.
+ESTIMATORS: dict[str, Callable[[Scene, TransportSettings, Plan], Estimator[Any]]] = {
+    "direct": DirectTransfer.planned,
+    "view": ViewTransfer.planned,
+}
+
+# Blocked part of the light beyond which a mesh is more likely inside out than meant.
+_NEARLY_ALL = 0.97
+
+
+@contextmanager
+def plan_scene(
+    scene: str | Path | Mesh,
+    settings: TransportSettings,
+    on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
+) -> Iterator[PlannedScene]:
+    """Load a scene and plan its transport; usable inside the with-block, with Mitsuba.
+
+    Parameters
+    ----------
+    scene : path of a mesh or Mitsuba scene, or a `Mesh`
+    settings : TransportSettings
+    on_plan : callable
+        Given the effects of the plan.
+
+    Raises
+    ------
+    UserError
+        As `open_scene`; no face that can be lit.
+    """
+    clock = Clock()
+    with open_scene(scene, albedo=settings.albedo, view=settings.view) as opened:
+        if not opened.receivers.active.any():
+            raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
+        clock.stop("load")
+        survey = Survey.of(opened, settings.seed)
+        view = opened.view if settings.view is not None else None
+        plan = survey.plan(settings.bandlimit, settings.samples, settings.effects, view)
+        on_plan(plan.effects)
+        _remark_on_closed(opened.path, plan.shadows)
+        clock.stop("plan")
+        yield PlannedScene(opened, settings, survey, plan, clock)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedScene:
+    """A scene that is loaded and planned.
+
+    Attributes
+    ----------
+    scene : Scene
+    settings : TransportSettings
+    survey : Survey
+    plan : Plan
+    clock : Clock
+    """
+
+    scene: Scene
+    settings: TransportSettings
+    survey: Survey
+    plan: Plan
+    clock: Clock
+
+    def with_settings(self, **changes: Any) -> PlannedScene:
+        """The same scene, planned with other settings than ``albedo`` and ``view``, with a clock of its own."""
+        settings = replace(self.settings, **changes)
+        plan = self.survey.plan(settings.bandlimit, settings.samples, settings.effects, self.plan.view)
+        return replace(self, settings=settings, plan=plan, clock=Clock(self.clock.seconds))
+
+    @property
+    def by_blocks(self) -> bool:
+        """Whether receivers do not depend on each other, so that transfer need not be held all at once."""
+        return self.plan.view is None and not self.plan.interreflection
+
+    def estimator(self) -> Estimator[Any]:
+        """What fills blocks of transfer vectors as planned, but for light between surfaces."""
+        return ESTIMATORS[self.plan.estimator](self.scene, self.settings, self.plan)
+
+
+def _remark_on_closed(path: str, shadows: Effect) -> None:
+    if shadows.contribution is not None and shadows.contribution > _NEARLY_ALL:
+        log.info(
+            "%s: %.0f %% of the light is blocked; if this is no closed room, its faces point inward: flip them",
+            path,
+            100.0 * shadows.contribution,
+        )
+
+
+class Clock:
+    """Wall-clock time by stage.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+    """
+
+    def __init__(self, seconds: dict[str, float] | None = None) -> None:
+        self.seconds: dict[str, float] = dict(seconds or {})
+        self._last = time.perf_counter()
+
+    def stop(self, stage: str) -> None:
+        """Give the time since the last call, or since the clock was made, to a stage."""
+        now = time.perf_counter()
+        self.seconds[stage] = now - self._last
+        self._last = now

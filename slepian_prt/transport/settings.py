@@ -1,0 +1,56 @@
+"""What is asked of transport."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from slepian_prt.errors import check_bandlimit, check_integer
+from slepian_prt.transport.effects import wanted_effects
+
+LARGEST_BANDLIMIT = 50
+LARGEST_SAMPLES = 1 << 16
+LARGEST_BOUNCES = 1000
+
+
+@dataclass(frozen=True)
+class TransportSettings:
+    """What is asked of transport; see `precompute`.
+
+    Attributes
+    ----------
+    bandlimit : int in [0, 50]
+    samples : int
+        Rays per receiver, on average.
+    effects : str
+    bounces : int or None
+    albedo : one or three numbers, or None
+    view : id or number of a camera, or None
+    seed : int
+
+    Raises
+    ------
+    UserError
+        A number out of range, or an unknown effect.
+    """
+
+    bandlimit: int = 10
+    samples: int = 1024
+    effects: str = "auto"
+    bounces: int | None = None
+    albedo: ArrayLike | None = None
+    view: str | int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        numbers = {
+            "bandlimit": check_bandlimit(self.bandlimit, largest=LARGEST_BANDLIMIT),
+            "samples": check_integer(self.samples, "samples", 1, LARGEST_SAMPLES),
+            "seed": check_integer(self.seed, "seed", 0),
+        }
+        if self.bounces is not None:
+            numbers["bounces"] = check_integer(self.bounces, "bounces", 0, LARGEST_BOUNCES)
+        for name, number in numbers.items():
+            object.__setattr__(self, name, number)
+        wanted_effects(self.effects)

@@ -1,0 +1,74 @@
+"""What a terminal shows: in a pseudo terminal of a given width."""
+
+import fcntl
+import os
+import pty
+import re
+import struct
+import subprocess
+import sys
+import termios
+
+import pytest
+
+CHOICES = """
+from slepian_prt.cli.messages import note, say
+from slepian_prt.cli.terminal import print_table
+headings = ["", "rays", "error of transport", "predicted error", "bytes/vertex, at most", "transport", "compression"]
+row = ["→", "64", "26.82%", "37.72% ± 0.37%", "0.095", "0.8 s", "1.2 s"]
+print_table(dict.fromkeys(headings, "right"), [row], spare=("compression", "transport", "error of transport"))
+say("a sentence that is longer than some terminals are wide: " + "x" * 12 + ", of words that are not broken")
+note("it is `effects=direct` that was asked for")
+"""
+
+
+def shown(columns: int, code: str = CHOICES) -> list[str]:
+    """Lines on a terminal so wide."""
+    leader, follower = pty.openpty()
+    fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        env={**environment, "TERM": "xterm"},
+        start_new_session=True,
+    )
+    os.close(follower)
+    raw = b""
+    while True:
+        try:
+            chunk = os.read(leader, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not chunk:
+            break
+        raw += chunk
+    os.close(leader)
+    assert process.wait(timeout=60) == 0
+    return re.sub(r"\x1b\[[0-9;]*m", "", raw.decode()).splitlines()
+
+
+@pytest.mark.parametrize("columns", [52, 64, 80, 120])
+def test_tables_and_sentences_fit(columns):
+    lines = shown(columns)
+    text = "\n".join(lines)
+    assert max(map(len, lines)) <= columns
+    assert "…" not in text
+    assert "37.72% ± 0.37%" in text
+    assert "xxxxxxxxxxxx, of" in re.sub(r"\n +", " ", text)
+    assert lines[-1] == "note: it is --effects direct that was asked for"
+
+
+def test_a_narrow_terminal_shows_what_matters():
+    assert "compression" in "".join(shown(120))
+    narrow = "".join(shown(52))
+    assert "compression" not in narrow
+    assert "bytes/vertex" in narrow
+
+
+def test_a_pipe_gets_one_line_a_row():
+    run = subprocess.run([sys.executable, "-c", CHOICES], capture_output=True, text=True, check=True)
+    assert len(run.stdout.splitlines()) == 3
+    assert run.stdout.splitlines()[0].split("  ")[-1] == "compression"

@@ -1,0 +1,99 @@
+"""Files decode to the same integers, and choose the same entropy contexts, whatever the processor."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
+
+from slepian_prt.compression.decoder import coded_along_principal_axes
+from slepian_prt.compression.stream import compress
+from slepian_prt.transport.transfer import precompute
+from tests.conftest import ROOT, bumpy
+from tests.numerics import assert_rounded
+
+# Kernels of OpenBLAS, which takes them by this name, and what a processor needs to run them.
+KERNELS = {"Prescott": "SSE3", "Haswell": "AVX2", "Zen": "AVX2", "SkylakeX": "AVX512F"}
+
+# Decodes a file, each cap, and codes what comes out again; prints digests of integers, and rows of axes as numbers.
+CODE = """
+import hashlib, json, sys
+import numpy as np, threadpoolctl
+from slepian_prt.compression.codec import caps, entropy
+from slepian_prt.compression.codec.surface import surface_of
+from slepian_prt.compression.prt_file import load
+
+integers, contexts = hashlib.sha256(), hashlib.sha256()
+read = entropy.Reader.values
+def values(reader, count, model):
+    contexts.update(f"{count} symbols by model {model};".encode())
+    return read(reader, count, model)
+entropy.Reader.values = values
+
+packed, axes = load(sys.argv[1]), []
+tuning = packed.coded.tuning
+for words, basis, members in zip(packed.coded.words, packed.bases, packed.clusters.members):
+    surface = surface_of(packed.mesh.receivers).cap(members)
+    cap = caps.decode_cap(words, basis.count * packed.channels, surface, tuning)
+    integers.update(cap.multiples.tobytes())
+    again = caps.encode_cap(cap.values(tuning.step), surface, tuning, principal_axes=False)
+    contexts.update(again.words.tobytes())
+    axes.append(None if cap.axes is None else cap.axes.tolist())
+kernels = {library.get("architecture") for library in threadpoolctl.threadpool_info()} - {None}
+print(json.dumps([integers.hexdigest(), contexts.hexdigest(), axes, sorted(kernels)]))
+"""
+
+
+def decoded(path, **environment: str) -> tuple[str, str, list, list[str]]:
+    """Digests of the integers and of the choice of contexts, axes of the caps, and the kernels that ran."""
+    plain = {k: v for k, v in os.environ.items() if k not in ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")}
+    command = [sys.executable, "-W", "error", "-c", CODE, str(path)]
+    run = subprocess.run(command, capture_output=True, text=True, env=plain | environment, cwd=ROOT, check=False)
+    assert run.returncode == 0, run.stderr
+    return tuple(json.loads(run.stdout))
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("portable") / "bumpy.prt"
+    packed = compress(precompute(bumpy(4), bandlimit=5, samples=64), tolerance=0.01, clusters=4)
+    assert set(coded_along_principal_axes(packed)) == {True, False}
+    packed.save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def here(file):
+    """As this processor decodes when it is left alone."""
+    return decoded(file)
+
+
+def same(found, here) -> None:
+    assert found[:2] == here[:2]
+    for one, other in zip(found[2], here[2], strict=True):
+        assert (one is None) == (other is None)
+        if one is not None:
+            # Gram-Schmidt of rows of K numbers, K of them: backward stable, and the rows are all but orthonormal.
+            assert_rounded(one, other, terms=len(one[0]) ** 2, size=1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_under_another_kernel_of_openblas(kernel, file, here, record_property):
+    if not __cpu_features__.get(KERNELS[kernel]):
+        pytest.skip(f"{kernel} needs {KERNELS[kernel]}, which this processor has not")
+    found = decoded(file, OPENBLAS_CORETYPE=kernel)
+    record_property("kernel that ran", found[3])
+    same(found, here)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kept", [0, 1])
+def test_with_fewer_instructions_in_numpy(kept, file, here):
+    """None of what numpy chooses by processor, and only the first of it."""
+    there = [feature for feature in __cpu_dispatch__ if __cpu_features__[feature]]
+    if len(there) <= kept:
+        pytest.skip(f"numpy chooses among {len(there)} sets of instructions on this processor")
+    same(decoded(file, NPY_DISABLE_CPU_FEATURES=" ".join(there[kept:])), here)
