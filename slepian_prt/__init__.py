@@ -10,7 +10,7 @@ Transfer and relighting
     precompute                      Trace what light reaches each vertex of a mesh or scene: its transfer vectors.
     Transfer                        Transfer vectors and the mesh that they belong to.
     compress                        Project transfer vectors on few functions per cap and code the coefficients.
-    CompressedTransfer              What a .prt file holds; save, reconstruct, relight, predicted errors.
+    CompressedTransfer              What a .prt file holds; save, reconstruct, predicted errors.
     load                            Read a .prt file.
     relight                         Radiance at the vertices under given lighting.
     register                        Make the integrator `slepian_prt` known to Mitsuba.

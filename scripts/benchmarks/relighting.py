@@ -13,6 +13,7 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import precompute_compressed
 from slepian_prt.lighting.environment import read_environment
 from slepian_prt.lighting.texel_projection import clenshaw_curtis
+from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.transport.settings import TransportSettings
 
 _RUNS = 15
@@ -84,8 +85,8 @@ def _relight(name: str, packed: sp.CompressedTransfer, environment: Path) -> Non
         packed.save(Path(folder) / "file.prt")
         packed = sp.load(Path(folder) / "file.prt")
     lighting = sp.project_environment(environment, packed.bandlimit)
-    prepare = median_seconds(lambda: packed.operator, 1)
-    numbers = packed.operator.size
+    prepare = median_seconds(lambda: transfer_operator(packed), 1)
+    numbers = transfer_operator(packed).size
     ours = median_seconds(lambda: sp.relight(packed, lighting), _RUNS)
     source, target = (np.full(numbers, value, dtype=np.float32) for value in (0.0, 1.0))
     copy = median_seconds(lambda: np.copyto(target, source), _RUNS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,7 @@ from slepian_prt.compression.learning import learn_bases, pilot_of
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.evaluation.vertex_error import ErrorMetric
 from slepian_prt.lighting.spectrum import LightPrior
-from slepian_prt.sphere.harmonics import num_coefficients
-from slepian_prt.transport.direct import DirectTransfer
+from slepian_prt.transport.estimator import Estimator
 from slepian_prt.transport.planned import PlannedScene
 from slepian_prt.transport.transfer import Transfer, compute_transfer
 
@@ -58,8 +57,15 @@ class Pilot:
         self._vertices = np.concatenate([metric.vertices, timed])
         self._report = report
         self._priors: dict[int, LightPrior] = {}
-        self._sources: dict[Combination, DirectTransfer] = {}  # of candidates: their tables take long, and are large
+        self._groupings: list[Grouping] = []  # one, once it is wanted
+        self._sources: dict[Combination, Estimator[Any]] = {}  # of candidates: their tables take long, and are large
         self._transfers: dict[int, Transfer] = {}  # by rays, the one of the highest bandlimit
+
+    def with_metric(self, metric: ErrorMetric, timed: NDArray) -> Pilot:
+        """The same scene, light and caps, measured at other vertices."""
+        other = Pilot(self.planned, self._light, self._settings, metric, timed, self._report, self._tuning)
+        other._priors, other._groupings = self._priors, self._groupings
+        return other
 
     def empty_table(self, goal: Goal) -> Table:
         """What may be chosen toward a goal, and nothing known of it."""
@@ -79,6 +85,9 @@ class Pilot:
     def measure(self, table: Table, step: MeasureTransport | MeasureCoding) -> Table:
         """The table with one more trial."""
         begin = time.perf_counter()
+        # Tables of directions are large: those of candidates that were not coded are not wanted again.
+        wanted = {choice.combination for choice in table.choices} | {(step.samples, step.bandlimit)}
+        self._sources = {key: source for key, source in self._sources.items() if key in wanted}
         if isinstance(step, MeasureTransport):
             self._report(f"pilot, {step.samples} rays, L = {step.bandlimit}")
             trial = self._trace(step) if self.planned.by_blocks else self._trace_all(step)
@@ -89,7 +98,7 @@ class Pilot:
 
     # --- Transport ---------------------------------------------------------------------------------------------------
 
-    def source(self, samples: int, bandlimit: int) -> DirectTransfer:
+    def source(self, samples: int, bandlimit: int) -> Estimator[Any]:
         """What traces a candidate, on the pilot and in the run."""
         combination = samples, bandlimit
         if combination not in self._sources:
@@ -101,13 +110,12 @@ class Pilot:
         transfer = self._transfers[samples]
         if transfer.bandlimit == bandlimit:
             return transfer
-        vectors = np.ascontiguousarray(transfer.vectors[:, :, : num_coefficients(bandlimit)])
-        return replace(transfer, vectors=vectors, bandlimit=bandlimit)
+        return replace(transfer.at_bandlimit(bandlimit), environment=transfer.environment)
 
-    def _new_source(self, samples: int, bandlimit: int) -> DirectTransfer:
-        planned = self.planned
-        directions = planned.survey.nodes(samples)
-        return DirectTransfer(planned.scene, bandlimit, directions, planned.plan.shadowed, planned.settings.seed)
+    def _new_source(self, samples: int, bandlimit: int, seed: int | None = None) -> Estimator[Any]:
+        """As planned; with another ``seed``, directions are turned otherwise, so that errors are independent."""
+        seed = self.planned.settings.seed if seed is None else seed
+        return self.planned.with_settings(samples=samples, bandlimit=bandlimit, seed=seed).estimator()
 
     def _trace(self, step: MeasureTransport) -> TransportTrial:
         tuning, vertices, count = self._tuning, self._vertices, len(self.planned.scene.mesh.receivers)
@@ -121,7 +129,9 @@ class Pilot:
         chosen = self.metric.vertices
         own, noise = vectors[: chosen.size], None
         if not step.candidate:
-            other = replace(source, seed=self.planned.settings.seed + 1).estimate(chosen).vectors
+            other = (
+                self._new_source(step.samples, step.bandlimit, self.planned.settings.seed + 1).estimate(chosen).vectors
+            )
             noise = 0.5 * self.metric.squared_difference(own, other)
         return TransportTrial(step, self.metric.errors(own), noise, seconds + prepared - begin, 0.0)
 
@@ -140,7 +150,7 @@ class Pilot:
         scene, seed = planned.scene, planned.settings.seed
         settings = replace(self._settings, tolerance=tuning.first_tolerance, light_prior=self._prior(bandlimit))
         transfer = None if planned.by_blocks else self.transfer(samples, bandlimit)
-        grouping = self._grouping if transfer is None else group_transfer(self._settings, transfer)
+        grouping = self._group_scene() if transfer is None else group_transfer(self._settings, transfer)
         parts = draw_caps(grouping.clusters, scene.traced_positions, seed, tuning)
         learnt, tried = pilot_of(grouping, seed), parts.vertices
         transport_error: NDArray[np.float32] | None = None
@@ -151,16 +161,17 @@ class Pilot:
             both = source.estimate(np.concatenate([learnt, tried])).vectors
             pilot_vectors, vectors = both[: learnt.size], both[learnt.size :]
             higher = max(bandlimit, min(2 * bandlimit + tuning.beyond_bandlimit, tuning.highest_beyond))
-            transport_error = -replace(source, seed=seed + 1, bandlimit=higher).estimate(tried).vectors
+            transport_error = -self._new_source(samples, higher, seed + 1).estimate(tried).vectors
             transport_error[:, :, : vectors.shape[2]] += vectors
         receivers = (scene.mesh if transfer is None else transfer.mesh).receivers
         toward_view = transfer is not None and transfer.toward_view
         learned = learn_bases(settings, receivers, grouping, bandlimit, seed, pilot_vectors, toward_view=toward_view)
         return CodingPilot(learned, parts, vectors, transport_error, self.metric, tuning)
 
-    @cached_property
-    def _grouping(self) -> Grouping:
-        return group_scene(self._settings, self.planned)
+    def _group_scene(self) -> Grouping:
+        if not self._groupings:
+            self._groupings.append(group_scene(self._settings, self.planned))
+        return self._groupings[0]
 
     def _prior(self, bandlimit: int) -> LightPrior:
         if bandlimit not in self._priors:

@@ -112,15 +112,17 @@ def precompute_within(
         aim = goal
         for _ in range(tuning.repeats):
             missed = 1.0 if goal.error is None else result.verification.worst / goal.error
-            others = draw_others(planned, light, known.vertices, tuning) if missed > 1.0 else others[:0]
-            if goal.seconds is not None or aim.error is None or others.size == 0:
+            if goal.seconds is not None or aim.error is None or missed <= 1.0:
+                break
+            others = draw_others(planned, light, known.vertices, tuning)
+            if others.size == 0:
                 break
             report(f"{result.verification.worst:.2%} on vertices held out; once more, aimed lower")
             report("reference of the pilot")
             # What has been looked at is known now; others are held out.
             held_out = measure_references(planned, goal, light, others, tuning)
             aim = replace(aim, error=aim.error * tuning.aimed_lower / missed)
-            pilot = Pilot(planned, light, settings, known, held_out.vertices, report, tuning)
+            pilot = pilot.with_metric(known, held_out.vertices)
             hooks = replace(hooks, on_plan=lambda _: None)
             result = _precompute_and_verify(pilot, held_out, aim, started, hooks, tuning)
     return result

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters
-from slepian_prt.compression.encoder import Coded
+from slepian_prt.compression.codec.prediction import Coded
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation

@@ -47,13 +47,13 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
     Raises
     ------
     UserError
-        Missing, foreign, cut short, damaged, or from a newer version.
+        Missing, foreign, cut short, damaged, or from another version.
     """
     path = Path(path)
     if path.is_dir():
         raise UserError(f"{path}: is a folder; name a transfer file")
     if not path.is_file():
-        raise UserError(f"{path}: no such file; slepian-prt precompute makes one")
+        raise UserError(f"{path}: no such file; precompute it first")
     try:
         with zipfile.ZipFile(path) as container:
             manifest = json.loads(container.read("manifest.json"))

@@ -83,7 +83,7 @@ def reconstruct(packed: CompressedTransfer, vertices: NDArray[np.integer] | None
 
 
 def coded_along_principal_axes(packed: CompressedTransfer) -> tuple[bool, ...]:
-    """Which caps are."""
+    """Which caps are coded along their principal axes."""
     return tuple(cap.axes is not None for cap in decode_all(packed))
 
 

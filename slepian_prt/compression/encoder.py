@@ -14,7 +14,7 @@ from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.codec import tuning as codec_tuning
 from slepian_prt.compression.codec.caps import DecodedCap, EncodedCap, encode_cap
-from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE, Tuning
+from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE, Coded, Tuning
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
@@ -51,21 +51,6 @@ class WarmStart:
     def scaled(self, ratio: float) -> WarmStart:
         """For a tolerance that is ``ratio`` times as large."""
         return WarmStart(replace(self.tuning, step=self.tuning.step * ratio))
-
-
-@dataclass(frozen=True)
-class Coded:
-    """Coefficients as they are in the file.
-
-    Attributes
-    ----------
-    tuning : Tuning
-    words : tuple of (n,) uint32
-        Of each cap.
-    """
-
-    tuning: Tuning
-    words: tuple[NDArray[np.uint32], ...]
 
 
 @dataclass(frozen=True, kw_only=True)

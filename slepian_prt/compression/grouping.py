@@ -19,7 +19,9 @@ from slepian_prt.transport.transfer import Transfer
 
 
 class Grouping(NamedTuple):
-    """Attributes
+    """Receivers grouped into caps.
+
+    Attributes
     ----------
     clusters : Clusters
     axes : (V, 3)

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from slepian_prt.compression import container
 from slepian_prt.compression.clustering import Clusters, clusters_of_sites, frames_of
 from slepian_prt.compression.codec.entropy import MODELS
-from slepian_prt.compression.codec.prediction import CONTEXTS, Tuning
+from slepian_prt.compression.codec.prediction import CONTEXTS, Coded, Tuning
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import decode_all
-from slepian_prt.compression.encoder import Coded
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer

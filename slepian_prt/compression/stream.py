@@ -125,17 +125,20 @@ class Projected:
 
 def project_transfer(transfer: Transfer, learned: LearnedBases) -> Projected:
     """Project vectors that are there."""
-    projection: Projection | None = choose_projection(learned)
-    while projection is not None:
+    projection = choose_projection(learned)
+    while True:
         store = MemoryStore()
         for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
             vertices = np.arange(begin, min(begin + _BLOCK, len(transfer.vectors)))
             unknown = np.zeros(vertices.size, dtype=np.float32)
             block = TransferBlock(vertices, transfer.vectors[vertices], unknown, 0)
             store.add(number, projection.block(block))
-        projected = Projected(projection, projection.caps(store))
-        projection = widen(projection, projected.blocks)
-    return projected
+        blocks = projection.caps(store)
+        wider = widen(projection, blocks)
+        if wider is None:
+            return Projected(projection, blocks)
+        projection = wider
+        del store, blocks  # before the next are made
 
 
 def encode_transfer(
@@ -257,7 +260,7 @@ def encode_planned(
         samples=int(planned.settings.samples),
         seed=planned.settings.seed,
         rays_traced=projected.rays,
-        seconds=seconds,
+        seconds=dict(seconds),
         source=scene.path,
         lighting=None if scene.environment is None else project_environment(scene.environment, bandlimit),
         view=scene.view,

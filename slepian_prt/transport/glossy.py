@@ -131,7 +131,7 @@ class ViewTransfer(Estimator[_ViewSamples]):
         """The weights of both sets as transfer vectors."""
         vertices, facing = samples.vertices, samples.facing
         vectors = np.zeros((vertices.size, 3, self._tables[0].shape[1]), dtype=np.float32)
-        for number, weights in enumerate(samples.weights):
+        for number, weights in enumerate(samples.weights if facing.size else ()):
             local = (weights.reshape(-1, self._half) @ self._tables[number]).reshape(facing.size, 3, -1)
             vectors[facing] += rotate_sh(local, self._frames(vertices[facing], number)[:, None])
         return TransferBlock(vertices, vectors, np.zeros(vertices.size, dtype=np.float32), samples.rays)
@@ -173,8 +173,10 @@ class ViewTransfer(Estimator[_ViewSamples]):
 
 def merge_equal_channels(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Transfer vectors (V, channels, M) with one channel if all are the same to rounding."""
+    if vectors.shape[1] == 1:
+        return vectors
     gray = np.abs(vectors - vectors[:, :1]).max(initial=0.0) <= 1e-6 * np.abs(vectors).max(initial=0.0)
-    return vectors[:, :1].copy() if gray and vectors.shape[1] > 1 else vectors
+    return vectors[:, :1].copy() if gray else vectors
 
 
 class _ReceiverBSDFs:

@@ -58,9 +58,11 @@ def find_interior(scene: Scene, dark: NDArray) -> InteriorVertices:
 
 def _sees_backs(scene: Scene, vertices: NDArray) -> NDArray[np.bool_]:
     """(n,) True where most of what is around a vertex turns its back to it."""
-    mi = scene.mi
+    if vertices.size == 0:
+        return np.zeros(0, dtype=bool)  # without the geometry, which convex scenes do not need
     import drjit as dr
 
+    mi = scene.mi
     directions = direction_set(_NODES)
     tracer = HemisphereRays(scene, directions, 0)
     result = np.zeros(vertices.size, dtype=bool)

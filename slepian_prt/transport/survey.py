@@ -183,7 +183,7 @@ class _Decisions:
             reason = "transfer toward a camera holds direct light only; the contribution is a bound"
             return row(NOT_SIMULATED, reason)
         if self._is_unwanted("interreflection"):
-            return row(OMITTED, f"not asked for (effects {self._effects})")
+            return row(OMITTED, f"not asked for (`effects={self._effects}`)")
         if self._is_forced("interreflection"):
             return row(SIMULATED, "asked for")
         if most == 0.0:
@@ -208,7 +208,7 @@ class _Decisions:
         if self._is_forced("colour"):
             return row(SIMULATED, "asked for: three channels")
         if self._is_unwanted("colour"):
-            return row(OMITTED, f"not asked for (effects {self._effects}); their mean stands for all")
+            return row(OMITTED, f"not asked for (`effects={self._effects}`); their mean stands for all")
         gray = bool(np.ptp(self._scene.receivers.albedo, axis=1).max(initial=0.0) == 0.0)
         if gray or tint.mean + tint.half_width < TOLERANCE:
             return row(OMITTED, "surfaces reflect all channels alike onto each other: one channel")

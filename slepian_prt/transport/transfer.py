@@ -83,7 +83,7 @@ class Transfer(Summarised):
 
     def at_bandlimit(self, bandlimit: int) -> Transfer:
         """The same transfer with fewer degrees, without the scene's own light."""
-        vectors = self.vectors[:, :, : num_coefficients(bandlimit)]
+        vectors = np.ascontiguousarray(self.vectors[:, :, : num_coefficients(bandlimit)])
         return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None)
 
     def _summary(self) -> dict[str, object]:
@@ -171,12 +171,13 @@ def compute_transfer(
 
     estimator = planned.estimator()
     whole = estimator.estimate(advance=report)
-    vectors, blocked = merge_equal_channels(whole.vectors), whole.blocked
+    vectors, blocked, rays = merge_equal_channels(whole.vectors), whole.blocked, whole.rays
+    del whole  # three channels that were the same need not stay
     interior = find_interior(scene, np.flatnonzero((blocked >= 1.0) & receivers.active))
     interior.fill(vectors)
     interior.fill(blocked)
     planned.clock.stop("transport")
-    bounces, rays = 0, whole.rays
+    bounces = 0
     if plan.interreflection:
         nodes = max(1, round(GATHER_SHARE * settings.samples))
         gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
@@ -201,7 +202,7 @@ def compute_transfer(
         effects=plan.effects,
         bounces=bounces,
         rays_traced=rays,
-        seconds=planned.clock.seconds,
+        seconds=dict(planned.clock.seconds),
         source=scene.path,
         environment=scene.environment,
         view=scene.view,

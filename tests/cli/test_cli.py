@@ -291,7 +291,7 @@ def test_albedo_brings_interreflection(folder, capsys):
     assert {"name", "verdict", "contribution", "confidence", "rays", "reason"} <= set(content["effects"][0])
     assert run(["relight", out, "--environment", folder / "map.exr", "-o", folder / "bright.npz"]) == 0
     assert run(["precompute", folder / "ball.ply", "-o", out, "--albedo", "0.9", "--effects", "direct", *SMALL]) == 0
-    assert "not asked for (effects direct)" in capsys.readouterr().out
+    assert "not asked for (--effects direct)" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -116,5 +116,7 @@ def test_blocks_of_all_estimators(view):
         some = np.array([5, 3, count - 1])
         np.testing.assert_allclose(estimator.estimate(some).vectors, whole.vectors[some], atol=1e-5)
         assert estimator.estimate(some[:0]).vectors.shape == (0, estimator.channels, 16)
+        nothing = np.flatnonzero(~estimator.axes.any(axis=1))[:3]  # toward a view, the backs
+        assert not estimator.estimate(nothing).vectors.any()
         transfer = compute_transfer(planned)
     assert_exact(transfer.axes, estimator.axes, because="a copy")

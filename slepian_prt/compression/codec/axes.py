@@ -18,7 +18,7 @@ _COARSEST_AXES, _FINEST_AXES = 4, 15
 
 @dataclass(frozen=True)
 class RoundedAxes:
-    """Rows that turn coefficients, in multiples of 2^-exponent.
+    """Principal axes, in multiples of 2^-exponent.
 
     An axis needs no more digits than keep its part of the signal within a fraction of the step.
 
@@ -35,9 +35,11 @@ class RoundedAxes:
     rows: NDArray[np.float64]
 
     def first(self, count: int) -> RoundedAxes:
+        """The first ``count`` axes."""
         return RoundedAxes(self.multiples[:count], self.exponents[:count], self.rows[:count])
 
     def write(self, writer: Writer) -> None:
+        """Code the multiples, each axis with the model that takes the fewest bits."""
         writer.number(len(self.multiples), self.multiples.shape[1] + 1)
         for row, exponent in zip(self.multiples, self.exponents.tolist(), strict=True):
             cost = bit_costs()[:, symbols_of(row)].sum(axis=1)
@@ -48,6 +50,7 @@ class RoundedAxes:
 
     @staticmethod
     def read(reader: Reader, components: int) -> RoundedAxes:
+        """The inverse of `write`."""
         count = reader.number(components + 1)
         multiples = np.zeros((count, components), dtype=np.int32)
         exponents = np.zeros(count, dtype=np.int64)
@@ -58,7 +61,7 @@ class RoundedAxes:
 
 
 def rounded_axes(x: NDArray, step: float) -> RoundedAxes | None:
-    """Principal axes of coefficients (N, K), rounded; None where there is nothing to turn."""
+    """Principal axes of coefficients (N, K), rounded; None where no axis is long enough."""
     variances, vectors = np.linalg.eigh(x.T @ x / max(len(x), 1))
     sizes, vectors = np.sqrt(np.maximum(variances[::-1], 0.0)), vectors[:, ::-1].T
     kept = int(np.sum(sizes > _AXIS_COUNTS * step))

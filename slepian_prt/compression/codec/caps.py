@@ -43,7 +43,9 @@ _DISTORTION_PER_BIT = 0.6
 
 @dataclass(frozen=True)
 class DecodedCap:
-    """Attributes
+    """One cap as its words tell it.
+
+    Attributes
     ----------
     multiples : (N, A) int32
         Sixteenths of a step, in surface order.
@@ -66,7 +68,9 @@ class DecodedCap:
 
 @dataclass(frozen=True)
 class EncodedCap:
-    """Attributes
+    """One cap as words, and what coding it changed.
+
+    Attributes
     ----------
     words : (n,) uint32
     used : int

@@ -55,6 +55,21 @@ class Tuning:
 
 
 @dataclass(frozen=True)
+class Coded:
+    """Coefficients of all caps as they are in the file.
+
+    Attributes
+    ----------
+    tuning : Tuning
+    words : tuple of (n,) uint32
+        Of each cap.
+    """
+
+    tuning: Tuning
+    words: tuple[NDArray[np.uint32], ...]
+
+
+@dataclass(frozen=True)
 class Differences:
     """What one pass over a cap gives.
 
@@ -103,11 +118,11 @@ def predict_and_round(coefficients: NDArray, surface: CapSurface, tuning: Tuning
 
 
 def predicted_multiples(level: Level, multiples: NDArray[np.int64], gains: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Shrunken weighted means of what is known, rounded half up."""
-    believed = gains[level.on_curve.astype(np.intp)]
+    """Weighted means times their gains of what is known, rounded half up."""
+    gain = gains[level.on_curve.astype(np.intp)]
     divisor = (GAIN_PARTS * level.totals)[:, None]
     sums = np.asarray(level.sources @ multiples)
-    return np.asarray((2 * sums * believed + divisor) // (2 * divisor))
+    return np.asarray((2 * sums * gain + divisor) // (2 * divisor))
 
 
 def neighbour_activity(level: Level, sizes: NDArray[np.int64]) -> NDArray[np.float64]:
