@@ -87,7 +87,7 @@ def _compressed_to(transfer: sp.Transfer, bytes_per_vertex: float) -> sp.Compres
 
 def clean() -> None:
     """From which tolerance on a coded picture looks like one of full spherical harmonics: FLIP and bytes."""
-    tolerances = (0.2, 0.1, 0.05, 0.035, 0.02, 0.01)
+    tolerances = (0.2, 0.1, 0.05, 0.035, 0.02, 0.01, 0.005)
     scenes = [("knot, sky", sp.example("knot"), sp.example("sky"))]
     folder = os.environ.get("SLEPIAN_PRT_DATA")
     if folder:
@@ -99,7 +99,7 @@ def clean() -> None:
         transfer, lighting = sp.precompute(path), sp.project_environment(environment, 10, clamp_negative=True)
         full = sp.relight(transfer, lighting)
         with open_scene(path) as scene:
-            camera = trace_camera(scene, 560)
+            camera = trace_camera(scene, 800)
         exact = camera.picture(full)
         for tolerance in tolerances:
             packed = sp.compress(transfer, tolerance=tolerance)
