@@ -24,27 +24,11 @@ def relighting() -> None:
     environments = data_folder() / "environments"
     studio = environments / "studio.exr"
     skull = data_folder() / "meshes" / "skull.ply"
-    _project(environments / "studio.exr")
-    _relight(
-        "skull, L = 10, K = 16",
-        precompute_compressed(str(skull), CompressionSettings(terms=16), TransportSettings(10, 1024)),
-        studio,
-    )
-    _relight(
-        "skull, L = 10, default",
-        precompute_compressed(str(skull), CompressionSettings(), TransportSettings(10, 1024)),
-        studio,
-    )
-    _relight(
-        "skull, L = 20, K = 16",
-        precompute_compressed(str(skull), CompressionSettings(terms=16), TransportSettings(20, 1024)),
-        studio,
-    )
-    _relight(
-        "skull, L = 20, default",
-        precompute_compressed(str(skull), CompressionSettings(), TransportSettings(20, 1024)),
-        studio,
-    )
+    _project(studio)
+    for bandlimit in (10, 20):
+        for settings, name in ((CompressionSettings(terms=16), "K = 16"), (CompressionSettings(), "default")):
+            packed = precompute_compressed(str(skull), settings, TransportSettings(bandlimit, 1024))
+            _relight(f"skull, L = {bandlimit}, {name}", packed, studio)
     _integrator(str(skull), studio)
     dragon = DRAGONS / "dragon_vrip.ply"
     if not dragon.is_file():

@@ -2,8 +2,6 @@
 
 import json
 import os
-import pty
-import select
 import signal
 import subprocess
 import sys
@@ -17,6 +15,7 @@ import trimesh
 from slepian_prt.cli import main
 from slepian_prt.renderer.variants import bitmap_module
 from tests.conftest import bumpy
+from tests.terminal import run_in_terminal
 
 COMMAND = [sys.executable, "-m", "slepian_prt"]
 
@@ -230,28 +229,11 @@ def test_progress_on_a_terminal(folder, tmp_path):
     ball = trimesh.creation.icosphere(6)
     bumps = ball.vertices * (1 + 0.2 * np.sin(6 * ball.vertices).prod(axis=1))[:, None]
     trimesh.Trimesh(bumps, ball.faces, process=False).export(tmp_path / "big.ply")
-    leader, follower = pty.openpty()
-    process = subprocess.Popen(
+    text = run_in_terminal(
         [*COMMAND, "precompute", tmp_path / "big.ply", "-o", tmp_path / "big.prt", "--samples", "1024"],
+        columns=120,
         stdout=subprocess.DEVNULL,
-        stderr=follower,
-        env={**os.environ, "TERM": "xterm", "COLUMNS": "120"},
     )
-    os.close(follower)
-    seen = b""
-    while process.poll() is None or select.select([leader], [], [], 0.2)[0]:
-        if not select.select([leader], [], [], 0.2)[0]:
-            continue
-        try:
-            chunk = os.read(leader, 65536)
-        except OSError:  # the other end is closed
-            break
-        if not chunk:
-            break
-        seen += chunk
-    os.close(leader)
-    assert process.wait(timeout=60) == 0
-    text = seen.decode(errors="replace")
     assert "vertices" in text
     assert "/s" in text
     assert "left" in text

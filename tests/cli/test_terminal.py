@@ -1,15 +1,12 @@
 """What a terminal shows: in a pseudo terminal of a given width."""
 
-import fcntl
-import os
-import pty
 import re
-import struct
 import subprocess
 import sys
-import termios
 
 import pytest
+
+from tests.terminal import run_in_terminal
 
 CHOICES = """
 from slepian_prt.cli.messages import note, say
@@ -24,30 +21,8 @@ note("it is `effects=direct` that was asked for")
 
 def shown(columns: int, code: str = CHOICES) -> list[str]:
     """Lines on a terminal so wide."""
-    leader, follower = pty.openpty()
-    fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
-    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
-    process = subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdin=follower,
-        stdout=follower,
-        stderr=follower,
-        env={**environment, "TERM": "xterm"},
-        start_new_session=True,
-    )
-    os.close(follower)
-    raw = b""
-    while True:
-        try:
-            chunk = os.read(leader, 65536)
-        except OSError:  # the other end is closed
-            break
-        if not chunk:
-            break
-        raw += chunk
-    os.close(leader)
-    assert process.wait(timeout=60) == 0
-    return re.sub(r"\x1b\[[0-9;]*m", "", raw.decode()).splitlines()
+    text = run_in_terminal([sys.executable, "-c", code], columns)
+    return re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines()
 
 
 @pytest.mark.parametrize("columns", [52, 64, 80, 120])

@@ -18,20 +18,8 @@ def grid_directions(height: int) -> np.ndarray:
     return np.stack([np.sin(v) * np.sin(u), np.cos(v), -np.sin(v) * np.cos(u)], axis=-1)
 
 
-@pytest.mark.parametrize("bandlimit", [0, 3, 10])
-def test_bandlimited_maps_are_exact(bandlimit, rng):
-    coefficients = rng.normal(size=(3, num_coefficients(bandlimit)))
-    texels = np.einsum(
-        "hwm,cm->hwc", real_sh(bandlimit, grid_directions(129).reshape(-1, 3)).reshape(129, 258, -1), coefficients
-    )
-    environment = Environment("exact", texels, np.eye(3))
-    np.testing.assert_allclose(project_environment(environment, bandlimit), coefficients, atol=1e-12)
-
-
-@pytest.mark.parametrize("shape", [(1, 2), (2, 4), (5, 10), (40, 80)])
-def test_small_maps_are_projected_as_mitsuba_interpolates_them(shape, rng):
-    environment = make_environment(rng.random((*shape, 3))).rotated(37.0)
-    directions = spherical_fibonacci(200_000)
+def mitsuba_radiance(environment: Environment, directions: np.ndarray) -> np.ndarray:
+    """(3, n) what Mitsuba's emitter sends from directions (n, 3)."""
     matrix = np.eye(4)
     matrix[:3, :3] = environment.to_world
     with mitsuba() as mi:
@@ -46,7 +34,24 @@ def test_small_maps_are_projected_as_mitsuba_interpolates_them(shape, rng):
         )
         si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
         si.wi = -mi.Vector3f(directions.T.astype(np.float32))
-        radiance = np.array(emitter.eval(si)).reshape(3, -1)
+        return np.array(emitter.eval(si)).reshape(3, -1)
+
+
+@pytest.mark.parametrize("bandlimit", [0, 3, 10])
+def test_bandlimited_maps_are_exact(bandlimit, rng):
+    coefficients = rng.normal(size=(3, num_coefficients(bandlimit)))
+    texels = np.einsum(
+        "hwm,cm->hwc", real_sh(bandlimit, grid_directions(129).reshape(-1, 3)).reshape(129, 258, -1), coefficients
+    )
+    environment = Environment("exact", texels, np.eye(3))
+    np.testing.assert_allclose(project_environment(environment, bandlimit), coefficients, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (2, 4), (5, 10), (40, 80)])
+def test_small_maps_are_projected_as_mitsuba_interpolates_them(shape, rng):
+    environment = make_environment(rng.random((*shape, 3))).rotated(37.0)
+    directions = spherical_fibonacci(200_000)
+    radiance = mitsuba_radiance(environment, directions)
     reference = radiance @ real_sh(5, directions) * (4 * np.pi / len(directions))
     # The Fibonacci set integrates the piecewise bilinear map to a few 1e-4; interpolation is good to (LΔ)²/12.
     np.testing.assert_allclose(project_environment(environment, 5), reference, atol=4e-3)
@@ -67,22 +72,8 @@ def test_one_hot_texels_point_where_mitsuba_puts_them(rotate):
         texels[row, column] = 1.0
         environment = make_environment(texels).rotated(rotate)
         ours = project_environment(environment, 10)[0, [3, 1, 2]] * [-1, -1, 1]
-        matrix = np.eye(4)
-        matrix[:3, :3] = environment.to_world
-        with mitsuba() as mi:
-            import drjit as dr
-
-            emitter = mi.load_dict(
-                {
-                    "type": "envmap",
-                    "bitmap": mi.Bitmap(environment.texels),
-                    "to_world": mi.ScalarTransform4f(matrix.tolist()),
-                }
-            )
-            directions_there = directions @ turn.T
-            si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
-            si.wi = -mi.Vector3f(directions_there.T.astype(np.float32))
-            weight = np.array(emitter.eval(si)).reshape(3, -1)[0]
+        directions_there = directions @ turn.T
+        weight = mitsuba_radiance(environment, directions_there)[0]
         theirs = (weight * solid_angle) @ directions_there
         cosine = ours @ theirs / (np.linalg.norm(theirs) * np.linalg.norm(ours))
         assert np.arccos(np.clip(cosine, -1, 1)) < 0.01, (row, column)  # a texel is 0.1 rad
