@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.linear_basis import LinearBasis
-from slepian_prt.compression.pilot import Pilot
+from slepian_prt.compression.pilot import PilotStatistics
 from slepian_prt.compression.prediction import by_degree
 from slepian_prt.errors import check_choice
 from slepian_prt.slepian.concentration import CapBasis, cap_basis, cap_moment_factors, moment_basis, scatter_radial
@@ -79,7 +79,7 @@ class Problem:
     bandlimit : int
     frames : tuple of Frame
         One per cap.
-    pilot : Pilot
+    pilot : PilotStatistics
         Transfer of a few hundred vertices, for each occlusion class.
     weights : (L+1,) or None
         Of a light prior.
@@ -87,7 +87,7 @@ class Problem:
 
     bandlimit: int
     frames: tuple[Frame, ...]
-    pilot: Pilot
+    pilot: PilotStatistics
     weights: NDArray[np.float64] | None = None
     _solved: dict[tuple[Any, ...], Any] = field(default_factory=dict, init=False, repr=False)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -42,12 +42,15 @@ class Clusters:
 
     index: NDArray[np.int32]
     caps: tuple[Cap, ...]
-    occlusion_classes: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    occlusion_classes: NDArray[np.int32]
     sites: NDArray[np.int16] | None = None
 
-    def __post_init__(self) -> None:
-        if len(self.occlusion_classes) != len(self.caps):
-            object.__setattr__(self, "occlusion_classes", np.zeros(len(self.caps), dtype=np.int32))
+    @classmethod
+    def of_one_class(
+        cls, index: NDArray[np.int32], caps: tuple[Cap, ...], sites: NDArray[np.int16] | None = None
+    ) -> Clusters:
+        """Clusters that share one second moment."""
+        return cls(index, caps, np.zeros(len(caps), dtype=np.int32), sites)
 
     @cached_property
     def members(self) -> list[NDArray[np.int64]]:
@@ -121,7 +124,7 @@ def cluster_axes(axes: NDArray, count: int) -> Clusters:
 def clusters_of_sites(sites: NDArray[np.int16], axes: NDArray) -> Clusters:
     """The clusters of vertices nearest to each site, the same on every machine."""
     index = _assigned(axes, sites)
-    return Clusters(index, _enclosing(index, len(sites), axes), sites=sites)
+    return Clusters.of_one_class(index, _enclosing(index, len(sites), axes), sites)
 
 
 def frames_of(clusters: Clusters) -> NDArray[np.float64]:
@@ -134,7 +137,7 @@ def frames_of(clusters: Clusters) -> NDArray[np.float64]:
 
 def enclosed(index: NDArray[np.int32], count: int, axes: NDArray) -> Clusters:
     """The given partition into 0..count-1 with its caps."""
-    return Clusters(index, _enclosing(index, count, axes))
+    return Clusters.of_one_class(index, _enclosing(index, count, axes))
 
 
 def cluster_surface(receivers: Receivers, axes: NDArray, count: int) -> Clusters:

@@ -14,7 +14,7 @@ from slepian_prt.compression.bases import Candidate, Frame, Problem, candidates
 from slepian_prt.compression.clustering import Clusters, frames_of, spread
 from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.linear_basis import LinearBasis
-from slepian_prt.compression.pilot import Pilot, decorrelated, learn, pilot_vertices
+from slepian_prt.compression.pilot import PilotStatistics, decorrelated, learn, pilot_vertices
 from slepian_prt.compression.principal_components import pca_candidates
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.scene.receivers import Receivers
@@ -32,7 +32,7 @@ class LearnedBases:
     bandlimit, channels, seed : int
     candidates : tuple of Candidate
         One per cap.
-    pilot : Pilot or None
+    pilot : PilotStatistics or None
         What they were learnt from; None for bases that are made from all vectors.
     widest : dict
         The widest bases so far, by how they are kept: narrower ones are their first functions. A memo.
@@ -45,7 +45,7 @@ class LearnedBases:
     channels: int
     seed: int
     candidates: tuple[Candidate, ...]
-    pilot: Pilot | None
+    pilot: PilotStatistics | None
     widest: dict[Any, tuple[LinearBasis, ...]] = field(default_factory=dict, repr=False)
 
     @property

@@ -48,7 +48,7 @@ class MeanTransfer:
 
 
 @dataclass(frozen=True)
-class Pilot:
+class PilotStatistics:
     """What the pilot's vertices tell, for each occlusion class.
 
     Attributes
@@ -82,7 +82,7 @@ def pilot_vertices(clusters: Clusters, axes: NDArray, seed: int) -> NDArray[np.i
 
 def learn(
     clusters: Clusters, axes: NDArray, vertices: NDArray, vectors: NDArray, normals: NDArray | None = None
-) -> Pilot:
+) -> PilotStatistics:
     """What bases are made from.
 
     Parameters
@@ -110,7 +110,7 @@ def learn(
         to_local = np.swapaxes(rotation_to(axes[chosen]), -1, -2)
         moments.append(measured_moment(rotate_sh(seen, to_local[:, None]).reshape(-1, seen.shape[2])))
     mean = MeanTransfer(np.array(zonal)) if normals is not None else None
-    return Pilot(tuple(moments), np.array(energies), mean)
+    return PilotStatistics(tuple(moments), np.array(energies), mean)
 
 
 def _zonal_mean(bandlimit: int, vectors: NDArray, normals: NDArray) -> NDArray[np.float32]:

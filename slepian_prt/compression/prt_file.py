@@ -206,12 +206,16 @@ def _clusters(arrays: dict[str, NDArray], mesh: Mesh) -> Clusters:
         caps = tuple(Cap(center, float(half_angle)) for center, half_angle in pairs)
     if "clusters/sites" in arrays:
         found = clusters_of_sites(arrays["clusters/sites"], mesh.normals)
-        return Clusters(found.index, caps or found.caps, sites=found.sites)
+        return Clusters.of_one_class(found.index, caps or found.caps, found.sites)
     index = np.empty(len(mesh.positions), dtype=np.int32)
     index[np.argsort(morton(mesh.positions), kind="stable")] = arrays["clusters/index"]
     if index.max() >= len(caps):
         raise ValueError("index of a cluster")
-    return Clusters(index, caps, arrays.get("clusters/kinds", np.zeros(0)).astype(np.int32))
+    if "clusters/kinds" not in arrays:
+        return Clusters.of_one_class(index, caps)
+    if len(arrays["clusters/kinds"]) != len(caps):
+        raise ValueError("classes of clusters")
+    return Clusters(index, caps, arrays["clusters/kinds"].astype(np.int32))
 
 
 def _bases(

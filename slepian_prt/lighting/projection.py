@@ -12,7 +12,7 @@ from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.lighting.emitters import emitted_environment
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
-from slepian_prt.lighting.texel_projection import Projection
+from slepian_prt.lighting.texel_projection import TexelProjection
 
 
 def project_environment(
@@ -63,14 +63,14 @@ def project_checked(
         rows = file_rows(environment)
     elif isinstance(environment, Environment):
         height, width = environment.texels.shape[:2]
-        projection = Projection(height, width, bandlimit, turn @ environment.to_world)
+        projection = TexelProjection(height, width, bandlimit, turn @ environment.to_world)
         return projection(environment.texels), environment.clamped
     else:
         rows = array_rows(environment, "environment", "environment")
-    if not Projection.enough_rows(rows.height, bandlimit):
+    if not TexelProjection.enough_rows(rows.height, bandlimit):
         return project_checked(checked_environment(rows, clamp_negative), bandlimit, rotate=turn)
     checked = Checked(rows, clamp_negative)
-    lighting = Projection(rows.height, rows.width, bandlimit, turn).of_rows(checked)
+    lighting = TexelProjection(rows.height, rows.width, bandlimit, turn).of_rows(checked)
     return lighting, checked.clamped
 
 

@@ -31,7 +31,7 @@ _MAP_TO_WORLD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class Projection:
+class TexelProjection:
     """The linear map from texels to spherical-harmonic coefficients in the world.
 
     An FFT along each row and a Legendre sum over the rows; Clenshaw–Curtis weights make it exact for maps that are

@@ -43,7 +43,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Pilot:
+class PilotVisibility:
     """What a few hundred vertices see.
 
     Attributes
@@ -76,13 +76,13 @@ class Survey:
     scene : Scene
     receivers, possible : indices of vertices
         That light can reach, and those of them that something reaches above the tangent plane of.
-    pilot : Pilot
+    pilot : PilotVisibility
     """
 
     scene: Scene
     receivers: NDArray[np.int64]
     possible: NDArray[np.int64]
-    pilot: Pilot
+    pilot: PilotVisibility
 
     @classmethod
     def of(cls, scene: Scene, seed: int = 0) -> Survey:
@@ -226,9 +226,9 @@ class _Decisions:
         return Effect(f"degrees above {self._bandlimit}", OMITTED, amount, None, 0, reason)
 
 
-def _trace_pilot(scene: Scene, possible: NDArray, receivers: int, seed: int) -> Pilot:
+def _trace_pilot(scene: Scene, possible: NDArray, receivers: int, seed: int) -> PilotVisibility:
     if possible.size == 0:
-        return Pilot(Estimate(), Estimate(), Estimate(), 0.0, 0.0, _tail_of_cosine)
+        return PilotVisibility(Estimate(), Estimate(), Estimate(), 0.0, 0.0, _tail_of_cosine)
     chosen = np.random.default_rng(seed).choice(possible, min(_PILOT_VERTICES, possible.size), replace=False)
     share = possible.size / receivers
     directions = direction_set(_PILOT_NODES)
@@ -246,7 +246,7 @@ def _trace_pilot(scene: Scene, possible: NDArray, receivers: int, seed: int) -> 
         kept = float(by_degree[: bandlimit + 1].sum())
         return share * max(0.0, 1.0 - kept / energy) + (1.0 - share) * _tail_of_cosine(bandlimit)
 
-    return Pilot(
+    return PilotVisibility(
         Estimate.of(blocked, share),
         Estimate.of(reflected.max(axis=1), share),
         Estimate.of(np.ptp(reflected, axis=1), share),

@@ -54,7 +54,7 @@ def test_caps_of_one_vertex(basis, way, shadowed, tmp_path):
     index = np.zeros(len(shadowed.normals), dtype=np.int32)
     index[7], index[100] = 1, 2
     caps = [Cap(np.array([0.0, 0.0, 1.0]), np.pi), *(Cap(shadowed.normals[v], 0.0) for v in (7, 100))]
-    packed = compress(shadowed, basis, clusters=Clusters(index, tuple(caps)), **way)
+    packed = compress(shadowed, basis, clusters=Clusters.of_one_class(index, tuple(caps)), **way)
     read = back_from_file(packed, tmp_path)
     if "tolerance" in way and basis != "slepian":
         assert error(read, shadowed) <= 0.0201

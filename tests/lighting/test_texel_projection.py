@@ -8,7 +8,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import about_up, make_environment, read_environment
 from slepian_prt.lighting.map_files import Checked, Rows, array_rows, file_rows
 from slepian_prt.lighting.projection import project_environment
-from slepian_prt.lighting.texel_projection import Projection, clenshaw_curtis
+from slepian_prt.lighting.texel_projection import TexelProjection, clenshaw_curtis
 from slepian_prt.renderer.variants import imported_mitsuba, mitsuba
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.rotation import rotate_sh
@@ -18,7 +18,7 @@ from tests.numerics import assert_exact, assert_rounded
 
 @pytest.mark.parametrize(("height", "bandlimit"), [(3, 4), (5, 0), (64, 5), (129, 20)])
 def test_adjoint_is_the_transpose(height, bandlimit, rng):
-    projection = Projection(height, 2 * height, bandlimit, about_up(33.0))
+    projection = TexelProjection(height, 2 * height, bandlimit, about_up(33.0))
     texels = rng.normal(size=(height, 2 * height, 3))
     coefficients = rng.normal(size=(3, num_coefficients(bandlimit)))
     there = np.sum(projection(texels) * coefficients)
@@ -33,7 +33,7 @@ def test_projection_is_the_sum_over_texels(rng):
     weights = np.repeat(clenshaw_curtis(height - 1) * np.pi / height, 2 * height)
     harmonics = real_sh(bandlimit, grid_directions(height).reshape(-1, 3))
     expected = (texels.reshape(-1, 3) * weights[:, None]).T @ harmonics
-    found = Projection(height, 2 * height, bandlimit)(texels.astype(np.float32))
+    found = TexelProjection(height, 2 * height, bandlimit)(texels.astype(np.float32))
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
@@ -43,7 +43,7 @@ WHITE = np.sqrt(4.0 * np.pi)
 
 def test_blocks_of_rows_add_up_to_the_whole(rng):
     texels = rng.random((200, 400, 3)).astype(np.float32)
-    projection = Projection(200, 400, 9)
+    projection = TexelProjection(200, 400, 9)
     expected = projection(texels)
     found = projection.of_rows(texels[a:b] for a, b in [(0, 1), (1, 77), (77, 78), (78, 200)])
     assert_rounded(found, expected, terms=200, size=WHITE)
@@ -189,7 +189,7 @@ def test_sixteen_thousand_texels_across_are_not_held():
     height = 8192
     tracemalloc.start()
     try:
-        found = Projection(height, 2 * height, 10).of_rows(Checked(suns(height), clamp_negative=False))
+        found = TexelProjection(height, 2 * height, 10).of_rows(Checked(suns(height), clamp_negative=False))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

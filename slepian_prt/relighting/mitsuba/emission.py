@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import envmap_rotation, is_envmap, sky_grid
-from slepian_prt.lighting.texel_projection import Projection
+from slepian_prt.lighting.texel_projection import TexelProjection
 from slepian_prt.relighting.mitsuba.linear_op import linear_op
 from slepian_prt.relighting.mitsuba.spectra import emitted_srgb
 
@@ -43,7 +43,7 @@ def _project_texels(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.floa
     data = parameters["data"]
     height, stored_width, channels = data.shape
     mirrored, world = envmap_rotation(parameters["to_world"], "envmap")
-    projection = Projection(height, stored_width - 2, bandlimit, turn @ world)
+    projection = TexelProjection(height, stored_width - 2, bandlimit, turn @ world)
     columns = slice(None, None, -1 if mirrored else 1)
 
     def project(texels: NDArray) -> NDArray:
@@ -64,7 +64,7 @@ def _project_samples(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.flo
     import drjit as dr
 
     grid = sky_grid(mi, emitter, emitter.class_name())
-    projection = Projection(grid.height, grid.width, bandlimit, turn @ grid.to_world)
+    projection = TexelProjection(grid.height, grid.width, bandlimit, turn @ grid.to_world)
     si = dr.zeros(mi.SurfaceInteraction3f, len(grid.directions))
     si.wi = -mi.Vector3f(grid.directions.T.astype(np.float32))
     # What is the same in all directions comes as one number.
