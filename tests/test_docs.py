@@ -58,6 +58,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_examples_run(page, files, tmp_path, monkeypatch):
     """Blocks of a page run in order in one folder and one namespace; outputs that are shown have the form shown."""
@@ -142,6 +143,7 @@ def test_links_lead_somewhere():
 # --- The site, the public names, the wheel ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_site_builds_without_warnings(tmp_path):
     options = ["--fail-on-warning", "--keep-going", "--nitpicky", "--quiet"]
     command = [sys.executable, "-m", "sphinx", *options, "-b", "html", str(DOCS), str(tmp_path)]
@@ -186,6 +188,7 @@ def test_examples_are_shipped():
         sp.example("skull")
 
 
+@pytest.mark.slow
 def test_wheel_holds_everything(tmp_path):
     """What the package reads beside its code is in the wheel, examples among it."""
     source = tmp_path / "source"
