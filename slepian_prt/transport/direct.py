@@ -86,7 +86,7 @@ class DirectTransfer(Estimator[_TracedBlock]):
     @property
     def rays(self) -> int:
         """Number traced so far."""
-        return self._tracer.rays if self.shadowed.size else 0
+        return self._instruments[0].rays if self.shadowed.size else 0
 
     @property
     def block_size(self) -> int:
@@ -100,12 +100,11 @@ class DirectTransfer(Estimator[_TracedBlock]):
         return traced
 
     @cached_property
-    def _tracer(self) -> VisibilityTracer:
-        return VisibilityTracer(self.scene, direction_set(self.nodes), self.seed)
-
-    @cached_property
-    def _tables(self) -> OcclusionTables:
-        return OcclusionTables(direction_set(self.nodes), self.bandlimit)
+    def _instruments(self) -> tuple[VisibilityTracer, OcclusionTables]:
+        """What traces and what projects: made together, since tables made while traced blocks wait take 10 % more."""
+        directions = direction_set(self.nodes)
+        tables = OcclusionTables(directions, self.bandlimit)
+        return VisibilityTracer(self.scene, directions, self.seed), tables
 
     def pieces(self) -> list[NDArray[np.int64]]:
         """All receivers, in pieces of about as many rays."""
@@ -116,9 +115,10 @@ class DirectTransfer(Estimator[_TracedBlock]):
         traced = np.flatnonzero(self._is_traced[vertices])
         if traced.size == 0:
             return _TracedBlock(vertices, traced, None, 0)
-        before = self._tracer.rays
-        visibility = self._tracer.trace(vertices[traced])
-        return _TracedBlock(vertices, traced, visibility, self._tracer.rays - before)
+        tracer, _ = self._instruments
+        before = tracer.rays
+        visibility = tracer.trace(vertices[traced])
+        return _TracedBlock(vertices, traced, visibility, tracer.rays - before)
 
     def project(self, samples: _TracedBlock) -> TransferBlock:
         """What is not blocked, as transfer vectors."""
@@ -126,7 +126,8 @@ class DirectTransfer(Estimator[_TracedBlock]):
         vectors = unoccluded_transfer(self.bandlimit, self.scene.receivers.normals[vertices])
         blocked = np.zeros(vertices.size, dtype=np.float32)
         if visibility is not None:
-            occluded = self._tables.blocked(visibility)
+            _, tables = self._instruments
+            occluded = tables.blocked(visibility)
             closed = np.all(visibility.blocked, axis=0)
             vectors[traced] -= occluded
             vectors[traced[closed]] = 0.0  # exactly, where nothing is seen but surfaces
