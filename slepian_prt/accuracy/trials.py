@@ -1,4 +1,7 @@
-"""Trials that a search may want, and what they gave: numbers alone."""
+"""Trials that a search may want, and what they gave.
+
+The search reads numbers alone; the bases that a trial learnt are carried along for the run.
+"""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def along(mesh: Mesh):
     return Surface(mesh.receivers).cap(np.arange(len(mesh.positions)))
 
 
-def returned(x: np.ndarray, surface, step: float, *, axes: bool | None = False) -> codec.EncodedCap:
+def assert_comes_back(x: np.ndarray, surface, step: float, *, axes: bool | None = False) -> codec.EncodedCap:
     """Encode and decode; the decoder must have just what the encoder thought."""
     tuning = tune([(x, surface)], step**2 / 12.0 * x.size)
     tuning = replace(tuning, step=step)
@@ -52,16 +52,16 @@ def returned(x: np.ndarray, surface, step: float, *, axes: bool | None = False) 
 def test_any_coefficients_come_back(count, width, axes, seed):
     rng = np.random.default_rng(seed)
     x = rng.standard_t(2, size=(count, width)) * 10.0 ** rng.uniform(-3, 3, size=width)
-    returned(x, along(cloud(count)), 10.0 ** rng.uniform(-3, 1), axes=axes)
+    assert_comes_back(x, along(cloud(count)), 10.0 ** rng.uniform(-3, 1), axes=axes)
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, -7.0, 96.0, 97.0, -5000.0, 2.0**24, -(2.0**24)])
 def test_constants_and_escapes(value):
-    returned(np.full((50, 3), value), along(cloud(50)), 1.0)
+    assert_comes_back(np.full((50, 3), value), along(cloud(50)), 1.0)
 
 
 def test_nothing_costs_next_to_nothing():
-    coded = returned(np.zeros((3000, 40)), along(cloud(3000)), 1.0)
+    coded = assert_comes_back(np.zeros((3000, 40)), along(cloud(3000)), 1.0)
     assert coded.words.size <= 1
     assert coded.used == 0
 
@@ -69,7 +69,7 @@ def test_nothing_costs_next_to_nothing():
 def test_close_to_the_entropy_where_nothing_can_be_predicted(rng):
     """Independent numbers: within 6 % of the entropy of rounding them by themselves (models are fixed, not fitted)."""
     x = rng.laplace(scale=3.0, size=(20_000, 4))
-    coded = returned(x, along(cloud(20_000)), 1.0)
+    coded = assert_comes_back(x, along(cloud(20_000)), 1.0)
     counts = np.bincount(np.rint(x).astype(int).ravel() + 200)
     p = counts[counts > 0] / x.size
     assert coded.words.size * 32 <= 1.06 * -(p * np.log2(p)).sum() * x.size
@@ -81,8 +81,8 @@ def test_prediction_pays_on_smooth_data():
     apart = Mesh(mesh.name, mesh.positions[::-1], mesh.normals, np.zeros((0, 3), np.int32), mesh.albedo)
     with_neighbours, without = along(mesh), along(apart)
     shuffled = np.random.default_rng(1).permutation(len(smooth))
-    known = returned(smooth[with_neighbours.order], with_neighbours, 0.01).words.size
-    unknown = returned(smooth[shuffled], without, 0.01).words.size
+    known = assert_comes_back(smooth[with_neighbours.order], with_neighbours, 0.01).words.size
+    unknown = assert_comes_back(smooth[shuffled], without, 0.01).words.size
     assert known < 0.3 * unknown
 
 
@@ -91,7 +91,7 @@ def test_axes_pay_where_coefficients_go_together(rng):
     mesh = bumpy(4)
     surface = along(mesh)
     x = rng.normal(size=(len(mesh.positions), 1)) * rng.normal(size=10)
-    along_axes, plain = (returned(x, surface, 0.05, axes=axes) for axes in (None, False))
+    along_axes, plain = (assert_comes_back(x, surface, 0.05, axes=axes) for axes in (None, False))
     assert along_axes.principal_axes
     assert along_axes.words.size < 0.3 * plain.words.size
     assert along_axes.distortion < 1.1 * plain.distortion
