@@ -89,11 +89,11 @@ def print_table(headings: Mapping[str, Side], rows: Sequence[Sequence[str]], *, 
 
     On a terminal that is too narrow, the columns ``spare`` are left out, from the first on, until the rest fits.
     """
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=200)
     cells = dict(zip(headings, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(headings, ())
     whole = {name: max(map(cell_len, [name, *cells[name]])) for name in headings}
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=_width(whole))
     # Numbers are not wrapped, headings only between words.
     least = {
         name: max(map(cell_len, [*name.split(), *(cells[name] if headings[name] == "right" else ())]), default=0)

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from slepian_prt.cli.terminal import print_table
 from tests.terminal import run_in_terminal
 
 CHOICES = """
@@ -47,3 +48,9 @@ def test_a_pipe_gets_one_line_a_row():
     run = subprocess.run([sys.executable, "-c", CHOICES], capture_output=True, text=True, check=True)
     assert len(run.stdout.splitlines()) == 3
     assert run.stdout.splitlines()[0].split("  ")[-1] == "compression"
+
+
+def test_long_cells_stay_on_one_line_in_a_pipe(capsys):
+    reason = "left out: " + "a material that is not known, " * 12
+    print_table({"effect": "left", "reason": "left"}, [["materials", reason.strip()]])
+    assert len(capsys.readouterr().out.splitlines()) == 2
