@@ -135,7 +135,7 @@ def frames_of(clusters: Clusters) -> NDArray[np.float64]:
     return np.asarray(sites / np.linalg.norm(sites, axis=1, keepdims=True))
 
 
-def enclosed(index: NDArray[np.int32], count: int, axes: NDArray) -> Clusters:
+def enclose_clusters(index: NDArray[np.int32], count: int, axes: NDArray) -> Clusters:
     """The given partition into 0..count-1 with its caps."""
     return Clusters.of_one_class(index, _enclosing(index, count, axes))
 
@@ -173,7 +173,7 @@ def cluster_surface(receivers: Receivers, axes: NDArray, count: int) -> Clusters
     dark[lit] = False
     index[dark] = index[lit[0]]
     used, index = np.unique(index, return_inverse=True)
-    return enclosed(index.astype(np.int32), used.size, axes)
+    return enclose_clusters(index.astype(np.int32), used.size, axes)
 
 
 def cluster_by_occlusion(axes: NDArray, openness: NDArray, classes: int, count: int) -> Clusters:

@@ -155,7 +155,7 @@ def _encode_coded(
         tuning, encoded = _encode_to_distortion(projection, blocks, wanted, warm_start, keep_decoded)
     sizes = learned.clusters.sizes
     used = np.array([cap.used / learned.channels for cap in encoded]) + (projection.bases[0].mean is not None)
-    expected, _ = measured_expectation(projection, range(len(encoded)), encoded, blocks, total, missed)
+    expected, _ = measure_expectation(projection, range(len(encoded)), encoded, blocks, total, missed)
     return _encoding(
         projection,
         projection.bases,
@@ -245,7 +245,7 @@ def expect(learned: LearnedBases, lost: Sequence[NDArray]) -> Expectation:
     return Expectation(shares @ np.array(lost), total)
 
 
-def measured_expectation(
+def measure_expectation(
     projection: Projection,
     caps: Sequence[int],
     encoded: Sequence[EncodedCap],

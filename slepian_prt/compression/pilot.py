@@ -24,7 +24,7 @@ def channel_mixing(channels: int) -> NDArray[np.float32]:
     return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
 
 
-def decorrelated(vectors: NDArray) -> NDArray[np.float32]:
+def decorrelate(vectors: NDArray) -> NDArray[np.float32]:
     """(n, channels, (L+1)²) transfer vectors with their channels mixed by `channel_mixing`."""
     channels = vectors.shape[1]
     return vectors if channels == 1 else np.einsum("dc,ncm->ndm", channel_mixing(channels), vectors)

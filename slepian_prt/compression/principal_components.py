@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.bases import Candidate
-from slepian_prt.compression.clustering import Clusters, enclosed
+from slepian_prt.compression.clustering import Clusters, enclose_clusters
 from slepian_prt.compression.linear_basis import LinearBasis
-from slepian_prt.compression.pilot import decorrelated
+from slepian_prt.compression.pilot import decorrelate
 from slepian_prt.compression.prediction import by_degree
 
 _ITERATIONS = 12
@@ -37,7 +37,7 @@ def pca_candidates(bandlimit: int, clusters: Clusters, vectors: NDArray) -> list
     clusters : Clusters
     vectors : (V, channels, (L+1)²)
     """
-    return [_pca(bandlimit, clusters.caps[c].center, decorrelated(vectors[m])) for c, m in enumerate(clusters.members)]
+    return [_pca(bandlimit, clusters.caps[c].center, decorrelate(vectors[m])) for c, m in enumerate(clusters.members)]
 
 
 def _pca(bandlimit: int, center: NDArray, vectors: NDArray) -> Candidate:
@@ -80,7 +80,7 @@ def iterate_clusters(
     terms : int
         Of the bases that will be used, the mean counted.
     """
-    mixed = decorrelated(vectors)
+    mixed = decorrelate(vectors)
     count, _, size = mixed.shape
     index = clusters.index.astype(np.int64)
     last = math.inf
@@ -108,7 +108,7 @@ def iterate_clusters(
             break
         last = total
     used, index = np.unique(index, return_inverse=True)
-    return enclosed(index.astype(np.int32), used.size, axes)
+    return enclose_clusters(index.astype(np.int32), used.size, axes)
 
 
 def _nearest_means(vectors: NDArray, means: NDArray) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.checkpoint import Block, BlockStatistics, MemoryStore, Store
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.linear_basis import LinearBasis
-from slepian_prt.compression.pilot import decorrelated
+from slepian_prt.compression.pilot import decorrelate
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.transport.estimator import TransferBlock
 
@@ -60,7 +60,7 @@ class Projection:
         clusters = self.learned.clusters
         order = np.argsort(clusters.index[traced.vertices], kind="stable")
         vertices = traced.vertices[order]
-        mixed = decorrelated(traced.vectors[order])
+        mixed = decorrelate(traced.vectors[order])
         energy = self._energies(mixed)
         self.learned.add_mean(mixed, vertices, -1.0)
         caps, starts = np.unique(clusters.index[vertices], return_index=True)

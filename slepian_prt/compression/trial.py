@@ -17,7 +17,7 @@ from slepian_prt.compression.codec.tuning import tune
 from slepian_prt.compression.encoder import (
     WarmStart,
     allowed_distortion,
-    measured_expectation,
+    measure_expectation,
     principal_axes_asked,
 )
 from slepian_prt.compression.pilot import channel_mixing
@@ -101,7 +101,7 @@ def try_caps(projection: Projection, blocks: CapBlocks, caps: Sequence[int]) -> 
     ]
     read_back = time.perf_counter()
     size = blocks.size(caps)
-    expected, missing = measured_expectation(projection, caps, encoded, blocks, total, missed)
+    expected, missing = measure_expectation(projection, caps, encoded, blocks, total, missed)
     return CodingTrial(
         projection,
         WarmStart(tuning),

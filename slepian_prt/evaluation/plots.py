@@ -19,7 +19,7 @@ def make_figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | Non
     return plt.subplots(rows, columns, figsize=size, squeeze=False, sharex="col")
 
 
-def encode_png(figure: Any) -> bytes:
+def encode_figure(figure: Any) -> bytes:
     """The figure as a PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")

@@ -57,7 +57,7 @@ def _panel(
     return {
         "file": file,
         "title": title,
-        "png": encode_png(to_srgb(picture, scale)[crop]),
+        "png": encode_picture(to_srgb(picture, scale)[crop]),
         "error_file": error_file,
         "error_title": error_title,
         "error_png": error_png,
@@ -71,7 +71,7 @@ def _map_png(view: View) -> bytes:
     rows, columns = texels.shape[0] // step * step, texels.shape[1] // step * step
     small = texels[:rows, :columns].reshape(rows // step, step, columns // step, step, 3).mean(axis=(1, 3))
     picture = Picture(small, np.ones(small.shape[:2], dtype=np.float32))
-    return encode_png(to_srgb(picture, exposure(picture)))
+    return encode_picture(to_srgb(picture, exposure(picture)))
 
 
 def _crop(alpha: NDArray) -> tuple[slice, slice]:
@@ -86,7 +86,7 @@ def _crop(alpha: NDArray) -> tuple[slice, slice]:
     )
 
 
-def encode_png(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
+def encode_picture(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
     """PNG of an (H, W, 3) picture, or of (H, W) indices into a (256, 3) palette."""
     picture = PIL.Image.fromarray(image)
     if palette is not None:
@@ -101,4 +101,4 @@ def encode_error_map(errors: NDArray) -> bytes:
     palette = (matplotlib.colormaps["magma"](np.linspace(0.0, 1.0, 255))[:, :3] * 255.0 + 0.5).astype(np.uint8)
     index = np.clip(np.nan_to_num(errors) / ERROR_SCALE, 0.0, 1.0) * 254.0 + 0.5
     image = np.where(np.isnan(errors), 255, index.astype(np.uint8)).astype(np.uint8)
-    return encode_png(image, np.concatenate([palette, [[255, 255, 255]]]).astype(np.uint8))
+    return encode_picture(image, np.concatenate([palette, [[255, 255, 255]]]).astype(np.uint8))

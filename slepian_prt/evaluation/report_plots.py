@@ -26,7 +26,7 @@ def plot_by_terms(comparison: Comparison) -> bytes:
             axis.plot(terms, predicted, "+", color="black", markersize=11, label="predicted for adapted", zorder=5)
     plots.finish_axis(axis, "functions per vertex, K", "relative error of the transfer vectors")
     plots.add_legend(axis)
-    return plots.encode_png(figure)
+    return plots.encode_figure(figure)
 
 
 def plot_by_bytes(comparison: Comparison) -> bytes:
@@ -42,7 +42,7 @@ def plot_by_bytes(comparison: Comparison) -> bytes:
         axis, "bytes per vertex, everything but the mesh counted", "relative error of relit radiance (mean)"
     )
     plots.add_legend(axis)
-    return plots.encode_png(figure)
+    return plots.encode_figure(figure)
 
 
 def plot_relit(comparison: Comparison) -> bytes:
@@ -56,7 +56,7 @@ def plot_relit(comparison: Comparison) -> bytes:
         plots.finish_axis(axis, "functions per vertex, K", "relative error of relit radiance")
     figure.tight_layout()
     plots.add_legend(axes[0, -1])
-    return plots.encode_png(figure)
+    return plots.encode_figure(figure)
 
 
 def _curves(results: Sequence[MethodResult], *, coded: bool = False) -> dict[str, list[MethodResult]]:
@@ -97,4 +97,4 @@ def plot_ladder(ladder: Sequence[StageError]) -> bytes:
         axis.set_axisbelow(True)
     figure.tight_layout()
     axes[0, 0].legend(frameon=False, fontsize=10, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-    return plots.encode_png(figure)
+    return plots.encode_figure(figure)

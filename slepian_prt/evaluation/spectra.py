@@ -130,4 +130,4 @@ def plot_spectrum(result: Spectrum) -> bytes:
         f"concentrations above ε = {result.epsilon:g}"
     )
     upper.legend(frameon=False)
-    return plots.encode_png(figure)
+    return plots.encode_figure(figure)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.map_files import Checked, Rows, array_rows, file_rows
-from slepian_prt.lighting.texel_projection import resampled
+from slepian_prt.lighting.texel_projection import resample
 from slepian_prt.summary import Summarised
 
 
@@ -92,5 +92,5 @@ def checked_environment(rows: Rows, clamp_negative: bool) -> Environment:
     checked = Checked(rows, clamp_negative)
     image = np.concatenate(list(checked))
     if len(image) < 3:  # the smallest that Mitsuba takes
-        image = resampled(image, 3, max(image.shape[1], 6))
+        image = resample(image, 3, max(image.shape[1], 6))
     return Environment(rows.name, image, np.eye(3), checked.clamped)

@@ -144,7 +144,7 @@ def interpolation(height: int, width: int, new_height: int, new_width: int) -> t
     return rows, _two_points(left % width, (left + 1) % width, c - left, width)
 
 
-def resampled(texels: NDArray, height: int, width: int) -> NDArray[np.float32]:
+def resample(texels: NDArray, height: int, width: int) -> NDArray[np.float32]:
     """(H, W, C) texels interpolated as Mitsuba would, on a grid of ``height`` and ``width``."""
     rows, columns = interpolation(texels.shape[0], texels.shape[1], height, width)
     return _along(rows, _along(columns, texels.astype(np.float64), 1), 0).astype(np.float32)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.bases import shared_half_angle
-from slepian_prt.compression.clustering import enclosed
+from slepian_prt.compression.clustering import enclose_clusters
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import CapCoefficients, decode_all, forget
 from slepian_prt.compression.pilot import MeanTransfer, channel_mixing
@@ -72,7 +72,7 @@ class Factors:
         return Factors(np.ascontiguousarray(self.coefficients[:, :count]), self.functions[:count])
 
 
-def without_the_least(parts: Sequence[Factors], weights: NDArray[np.float64], lost: float) -> list[Factors]:
+def drop_least(parts: Sequence[Factors], weights: NDArray[np.float64], lost: float) -> list[Factors]:
     """Factors of all caps with as few functions as leave out ``lost`` (relative RMS) of the weighted transfer."""
     # Threads of BLAS that wait for each other make many small problems slow, by minutes on a busy machine.
     with threadpool_limits(1, "blas"):
@@ -186,7 +186,7 @@ def _all_factors(packed: CompressedTransfer) -> list[Factors]:
         return parts
     prior, error = packed.bases[0].weights, packed.predicted_error_under_prior
     weights = np.ones(num_coefficients(packed.bandlimit)) if prior is None else prior[degrees(packed.bandlimit)]
-    return without_the_least(parts, weights, _LEFT_OUT * (packed.predicted_error if error is None else error))
+    return drop_least(parts, weights, _LEFT_OUT * (packed.predicted_error if error is None else error))
 
 
 def _factors(packed: CompressedTransfer, c: int, coefficients: CapCoefficients, mean: _MeanFunctions | None) -> Factors:
@@ -251,4 +251,4 @@ class _MeanFunctions:
         clusters = self._packed.clusters
         if clusters.sites is not None:
             return clusters.caps
-        return enclosed(clusters.index, len(clusters.caps), self._packed.normals).caps
+        return enclose_clusters(clusters.index, len(clusters.caps), self._packed.normals).caps

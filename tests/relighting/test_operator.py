@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.stream import compress
-from slepian_prt.relighting.operator import Factors, TransferOperator, transfer_operator, without_the_least
+from slepian_prt.relighting.operator import Factors, TransferOperator, drop_least, transfer_operator
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy
@@ -54,7 +54,7 @@ def test_leaving_out_keeps_to_the_energy_allowed_and_no_function_too_many(channe
     parts, _, _ = made_up(rng, channels)
     weights = rng.random(25) + 0.1
     parts = [part for part in parts if part.coefficients.size]
-    fewer = without_the_least(parts, weights, 0.3)
+    fewer = drop_least(parts, weights, 0.3)
     lost = total = 0.0
     for part, less in zip(parts, fewer, strict=True):
         full = np.einsum("nr,rcm->ncm", part.coefficients, part.functions) * weights
@@ -68,7 +68,7 @@ def test_leaving_out_keeps_to_the_energy_allowed_and_no_function_too_many(channe
 def test_leaving_out_nothing_keeps_the_product_with_dependent_functions(rng):
     functions = rng.normal(size=(3, 1, 25))
     doubled = Factors(rng.normal(size=(10, 6)).astype(np.float32), np.concatenate([functions, 2.0 * functions]))
-    (same,) = without_the_least([doubled], np.ones(25), 0.0)
+    (same,) = drop_least([doubled], np.ones(25), 0.0)
     assert same.coefficients.shape == (10, 3)
     np.testing.assert_allclose(
         same.coefficients @ same.functions[:, 0], doubled.coefficients @ doubled.functions[:, 0], atol=1e-5

@@ -60,7 +60,7 @@ class RoundedAxes:
         return RoundedAxes(multiples, exponents, _orthonormal(multiples, exponents)[0])
 
 
-def rounded_axes(x: NDArray, step: float) -> RoundedAxes | None:
+def round_axes(x: NDArray, step: float) -> RoundedAxes | None:
     """Principal axes of coefficients (N, K), rounded; None where no axis is long enough."""
     variances, vectors = np.linalg.eigh(x.T @ x / max(len(x), 1))
     sizes, vectors = np.sqrt(np.maximum(variances[::-1], 0.0)), vectors[:, ::-1].T

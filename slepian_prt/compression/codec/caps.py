@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.codec.axes import RoundedAxes, rounded_axes
+from slepian_prt.compression.codec.axes import RoundedAxes, round_axes
 from slepian_prt.compression.codec.entropy import Reader, Writer
 from slepian_prt.compression.codec.prediction import (
     CLASSES,
@@ -115,7 +115,7 @@ def encode_cap(
         Whether what will be decoded is wanted too.
     """
     x = np.asarray(coefficients, dtype=np.float64)
-    rounded = rounded_axes(x, tuning.step) if principal_axes is not False else None
+    rounded = round_axes(x, tuning.step) if principal_axes is not False else None
     choices = [None, rounded] if principal_axes is None and rounded is not None else [rounded]
     return min((_encode(x, surface, tuning, axes, keep) for axes in choices), key=lambda e: e.cost(tuning.step))
 

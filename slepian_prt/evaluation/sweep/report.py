@@ -87,7 +87,7 @@ def _plot(sweep: Sweep, name: str, cost: str, title: str) -> bytes:
     plots.finish_axis(axis, title, f"relative error under {name}")
     _name_points(axis, sweep, _well_apart(front, name), name, cost)
     plots.add_legend(axis)
-    return plots.encode_png(figure)
+    return plots.encode_figure(figure)
 
 
 def _draw_points(axis: Any, sweep: Sweep, name: str, cost: str) -> None:
