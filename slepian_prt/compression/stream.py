@@ -316,7 +316,7 @@ def _fingerprint(planned: PlannedScene, projection: Projection) -> str:
     numbers = (version("slepian_prt"), scene.mi.variant(), settings.bandlimit, settings.seed, plan.nodes)
     digest.update(repr(numbers).encode())
     mesh = scene.mesh
-    arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_origins]
+    arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
     for shape in scene.shapes:
         box = shape.bbox()
         arrays += [np.array(box.min), np.array(box.max), np.array([shape.surface_area()], dtype=np.float64)]

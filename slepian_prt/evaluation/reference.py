@@ -16,6 +16,7 @@ from slepian_prt.relighting.pictures import Picture, split_alpha
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import View
+from slepian_prt.transport.hemisphere import upload_origins
 from slepian_prt.transport.interior import find_interior
 
 # The root of x⁵ = x + 1.
@@ -114,6 +115,8 @@ def vertex_reference(
     halves, reached, samples = _converge(half, noise, largest_samples, stratified=False)
     albedo = scene.mesh.albedo[chosen] if view is None else 1.0
     mean = halves.mean(axis=0)
+    if view is None:
+        mean[scene.is_hidden[chosen]] = 0.0
     if view is None and vertices is None:
         # What transport does for vertices inside other geometry.
         find_interior(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
@@ -171,12 +174,13 @@ def _sample_vertices(
         chosen = slice(begin, min(begin + block, count))
         size = chosen.stop - chosen.start
         normals = scene.mesh.normals[vertices[chosen]]
-        origins = scene.ray_origins[vertices[chosen]]
-        origin, normal = mi.Point3f(origins.T.astype(np.float32)), mi.Normal3f(normals.T.astype(np.float32))
+        origin_of = upload_origins(mi, scene.ray_origins, vertices[chosen])
+        normal = mi.Normal3f(normals.T.astype(np.float32))
         lane = dr.arange(mi.UInt32, size * samples)
         vertex = lane // dr.opaque(mi.UInt32, samples)
         si = dr.zeros(mi.SurfaceInteraction3f, size * samples)
-        si.p, si.n = dr.gather(mi.Point3f, origin, vertex), dr.gather(mi.Normal3f, normal, vertex)
+        si.p = origin_of(vertex, mi.Vector3f(0.0))
+        si.n = dr.gather(mi.Normal3f, normal, vertex)
         valid = dr.squared_norm(si.n) > 0.5
         # An additive recurrence in four dimensions (the generalised golden ratio), shifted at random per vertex.
         shifts = rng.integers(1 << 32, size=(4, size), dtype=np.uint32)
@@ -192,11 +196,12 @@ def _sample_vertices(
         cosine = dr.maximum(dr.dot(si.n, ds.d), 0.0)
         balance = ds.pdf / (ds.pdf + cosine * dr.inv_pi)
         visible = valid & (cosine > 0.0) & (ds.pdf > 0.0)
-        visible &= ~lit.ray_test(mi.Ray3f(si.p, ds.d), visible)
+        visible &= ~lit.ray_test(mi.Ray3f(origin_of(vertex, ds.d), ds.d), visible)
         value = dr.select(visible, weight * cosine * dr.inv_pi * balance, 0.0)
 
         local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[2], u[3]))
-        ray = mi.Ray3f(si.p, mi.Frame3f(si.n).to_world(local))
+        outward = mi.Frame3f(si.n).to_world(local)
+        ray = mi.Ray3f(origin_of(vertex, outward), outward)
         sky = dr.zeros(mi.SurfaceInteraction3f, size * samples)
         sky.wi = -ray.d
         cosine_pdf = local.z * dr.inv_pi
@@ -228,9 +233,8 @@ def _sample_toward(scene: Scene, lit: Any, view: View, samples: int, seed: int, 
     cosine = np.einsum("ij,ij->i", toward, normals)
     facing = np.flatnonzero(cosine > 1e-4)
     # From a little above, back onto the surface under the point that transfer starts from.
-    offsets = scene.ray_offsets[facing]
-    surface = scene.ray_origins[facing] - offsets[:, None] * normals[facing]
-    origins = surface + (2.0 * offsets / np.maximum(cosine[facing], 0.05))[:, None] * toward[facing]
+    feet, heights = scene.ray_origins.feet[facing], scene.ray_heights[facing]
+    origins = feet + (2.0 * heights / np.maximum(cosine[facing], 0.05))[:, None] * toward[facing]
     total = np.zeros((len(positions), 3))
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
     block = max(1, (1 << 20) // samples)

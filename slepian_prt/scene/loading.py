@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import emitted_environment
@@ -18,6 +18,7 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene import materials
 from slepian_prt.scene.mesh import Mesh, read_mesh
+from slepian_prt.scene.recentering import coarse_receivers, far_center, load_about
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.shapes import ReceivingShape, fewest_cuts, mitsuba_mesh, receiving_shape
 from slepian_prt.scene.view import View, view_of
@@ -51,7 +52,7 @@ def open_scene(
         if albedo is not None:
             raise UserError(f"{path}: its materials say what it reflects; leave out the albedo, or change it there")
         with mitsuba() as mi:
-            yield _from_xml(mi, Path(path), view)
+            yield _told_of_steps(_from_xml(mi, Path(path), view))
         return
     if view is not None:
         raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
@@ -59,7 +60,21 @@ def open_scene(
     if albedo is not None:
         mesh = replace(mesh, albedo=_constant_albedo(albedo, len(mesh.positions)))
     with mitsuba() as mi:
-        yield _from_mesh(mi, mesh, source, albedo is not None)
+        yield _told_of_steps(_from_mesh(mi, mesh, source, albedo is not None))
+
+
+def _told_of_steps(scene: Scene) -> Scene:
+    """The scene, after a remark if float32 is too coarse for a part of it."""
+    count, step = coarse_receivers(scene.traced_positions, scene.receivers)
+    if count:
+        log.info(
+            "%s: %d vertices are so far from the rest that float32, which rays are traced in, has steps of %.2g of the "
+            "size of their part; move the parts together, or bring the model to the origin",
+            scene.path,
+            count,
+            step,
+        )
+    return scene
 
 
 def _constant_albedo(albedo: ArrayLike, count: int) -> Any:
@@ -70,9 +85,12 @@ def _constant_albedo(albedo: ArrayLike, count: int) -> Any:
 
 
 def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
-    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
-    diagonal = float(np.linalg.norm(high - low))
-    origin, scale = 0.5 * (low + high), diagonal if diagonal > 0.0 else 1.0
+    used = mesh.positions[mesh.receivers.active]
+    # float32 is finest about zero: there stands what most of the vertices belong to, however far a part of it is.
+    origin = np.median(used, axis=0)
+    diagonal = float(np.linalg.norm(np.ptp(used, axis=0)))
+    scale = diagonal if diagonal > 0.0 else 1.0
+    traced = np.where(mesh.receivers.active[:, None], (mesh.positions - origin) / scale, 0.0)
     return Scene(
         mi=mi,
         path=source,
@@ -80,7 +98,7 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
         parts=(Part(mesh.name, 0, len(mesh.positions)),),
         origin=origin,
         scale=scale,
-        shapes=(mitsuba_mesh(mi, replace(mesh, positions=(mesh.positions - origin) / scale)),),
+        shapes=(mitsuba_mesh(mi, replace(mesh, positions=traced)),),
         faces=mesh.faces,
         first_faces=(0,),
         two_sided=(has_materials,),
@@ -112,8 +130,10 @@ class _SortedShapes(NamedTuple):
 
 
 def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
-    loaded = _load_xml(mi, path)
+    loaded, origin = _load_xml(mi, path)
     sensor, scene_view = _camera(mi, loaded.sensors(), view, path)
+    if scene_view is not None:
+        scene_view = scene_view.moved(origin)
     shapes = _sort_shapes(mi, loaded, path, toward_view=view is not None)
     if not shapes.receiving:
         listed = "; ".join(shapes.notes) or "it has no shapes"
@@ -127,11 +147,11 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
     return Scene(
         mi=mi,
         path=str(path),
-        mesh=_joined(path.stem, meshes, offsets),
+        mesh=_joined(path.stem, meshes, offsets, origin),
         parts=tuple(
             Part(mesh.name, int(first), int(n)) for mesh, first, n in zip(meshes, offsets, counts, strict=True)
         ),
-        origin=np.zeros(3),
+        origin=origin,
         scale=1.0,
         shapes=(*(shape.shape for shape in shapes.receiving), *shapes.occluders),
         faces=np.concatenate(faces).astype(np.int32),
@@ -145,12 +165,17 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
     )
 
 
-def _load_xml(mi: Any, path: Path) -> Any:
+def _load_xml(mi: Any, path: Path) -> tuple[Any, NDArray[np.float64]]:
+    """The scene, unoptimised, and the point of the world that is its origin: another than zero if it is far from it."""
     level = mi.log_level()
     try:
         mi.set_log_level(mi.LogLevel.Error)  # its warnings go to standard output, where the plan does
         # Unoptimised: merged shapes lose their names, and rectangles in them their resolution.
-        return mi.load_file(str(path), optimize=False)
+        loaded = mi.load_file(str(path), optimize=False)
+        center = far_center(loaded)
+        if center is None:
+            return loaded, np.zeros(3)
+        return load_about(mi, path, center), center
     except Exception as error:  # whatever Mitsuba's parser and plugins raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); correct it there") from None
@@ -187,12 +212,12 @@ def _sort_shapes(mi: Any, loaded: Any, path: Path, *, toward_view: bool) -> _Sor
     return result
 
 
-def _joined(name: str, meshes: Sequence[Mesh], offsets: Sequence[int]) -> Mesh:
-    """All meshes as one, the vertices of each from its offset on."""
+def _joined(name: str, meshes: Sequence[Mesh], offsets: Sequence[int], origin: NDArray) -> Mesh:
+    """All meshes as one in the world, the vertices of each from its offset on."""
     faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]
     return Mesh(
         name,
-        np.concatenate([mesh.positions for mesh in meshes]),
+        np.concatenate([mesh.positions for mesh in meshes]) + origin,
         np.concatenate([mesh.normals for mesh in meshes]),
         np.concatenate(faces).astype(np.int32),
         np.concatenate([mesh.albedo for mesh in meshes]),

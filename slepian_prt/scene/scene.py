@@ -8,17 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.scene.mesh import Mesh, border_vertices
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.piercing import find_pierced
+from slepian_prt.scene.ray_origins import RayOrigins, find_ray_origins
 from slepian_prt.scene.receivers import Receivers
+from slepian_prt.scene.surroundings import Surroundings, ray_heights
 from slepian_prt.scene.view import View
-
-# Where rays start above the surface, relative to the diagonal of the bounding box. From the vertex itself 41 % of the
-# rays of a convex icosphere are falsely blocked; from here none.
-RAY_OFFSET = 1e-4
 
 
 @dataclass(frozen=True)
@@ -91,10 +88,32 @@ class Scene:
         """A Mitsuba scene of the shapes alone."""
         return mitsuba_scene(self)
 
-    @property
+    @cached_property
     def traced_positions(self) -> NDArray[np.float64]:
-        """(V, 3) positions of the receivers in the space that Mitsuba traces in."""
-        return (self.receivers.positions - self.origin) / self.scale
+        """(V, 3) positions of the receivers in the space that Mitsuba traces in; zero where no face is."""
+        return np.where(self.receivers.active[:, None], (self.receivers.positions - self.origin) / self.scale, 0.0)
+
+    @cached_property
+    def _first_face(self) -> Any:
+        """The first face of each receiver by Dr.Jit's number of the shape; -1 for what only casts shadows."""
+        import drjit as dr
+
+        mi = self.mi
+        numbers = [int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)))[0]) for shape in self.shapes]
+        first = np.full(max(numbers) + 1, -1, dtype=np.int32)
+        for number, face in zip(numbers, self.first_faces, strict=False):
+            first[number] = face
+        return mi.Int32(first)
+
+    def hit_faces(self, hit: Any) -> Any:
+        """Rows of ``faces`` that rays met (a preliminary intersection); negative for occluders and the sky."""
+        import drjit as dr
+
+        mi = self.mi
+        valid = hit.is_valid()
+        number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
+        first = dr.gather(mi.Int32, self._first_face, number, valid)
+        return dr.select(valid & (first >= 0), first + mi.Int32(hit.prim_index), -1)
 
     @property
     def occluders(self) -> tuple[Any, ...]:
@@ -102,36 +121,31 @@ class Scene:
         return self.shapes[len(self.parts) :]
 
     @cached_property
-    def ray_offsets(self) -> NDArray[np.float64]:
-        """(V,) how far above each receiver its rays start, in the space that Mitsuba traces in.
-
-        Relative to the connected piece of surface that it belongs to, so that a small model beside a large
-        floor keeps its shadows, but no less than a few units in the last place of its position in float32.
-        """
-        positions = self.traced_positions
-        first, second = self.receivers.neighbours.T
-        links = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(len(positions), len(positions)))
-        count, piece = connected_components(links, directed=False)
-        low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-        np.minimum.at(low, piece, positions)
-        np.maximum.at(high, piece, positions)
-        diagonals = np.linalg.norm(high - low, axis=1)[piece]
-        rounding = np.spacing(np.abs(positions).max(axis=1, initial=0.0).astype(np.float32))
-        return np.maximum(RAY_OFFSET * diagonals, 32.0 * rounding)
+    def ray_heights(self) -> NDArray[np.float64]:
+        """(V,) how far above its faces the rays of each receiver start, in the space that Mitsuba traces in."""
+        return ray_heights(self.traced_positions, self.mesh.faces)
 
     @cached_property
-    def ray_origins(self) -> NDArray[np.float64]:
-        """(V, 3) where the rays of each receiver start, in the space that Mitsuba traces in.
+    def surroundings(self) -> Surroundings:
+        """The faces around each receiver."""
+        return Surroundings(self)
 
-        Above the surface; and at the border of a surface also a little inward, because the border of a wall often
-        lies in the plane of the next one, which its rays would start in and never meet.
-        """
-        normals, positions = self.receivers.normals, self.traced_positions
-        inward = _inward(positions, self.mesh.faces)
-        inward -= np.einsum("ij,ij->i", inward, normals)[:, None] * normals
-        length = np.linalg.norm(inward, axis=1, keepdims=True)
-        inward = np.divide(inward, length, out=np.zeros_like(inward), where=length > 0.0)
-        return positions + self.ray_offsets[:, None] * (normals + inward)
+    @cached_property
+    def ray_origins(self) -> RayOrigins:
+        """Where the rays of each receiver start."""
+        return find_ray_origins(self)
+
+    @cached_property
+    def pierced(self) -> NDArray[np.integer]:
+        """(n, 2) vertices behind a surface that an edge of theirs goes through, and their neighbours before it."""
+        return find_pierced(self)
+
+    @cached_property
+    def is_hidden(self) -> NDArray[np.bool_]:
+        """(V,) True at the vertices behind a surface among ``pierced``."""
+        hidden = np.zeros(len(self.receivers), dtype=bool)
+        hidden[self.pierced[:, 0]] = True
+        return hidden
 
     @property
     def traced_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -140,18 +154,6 @@ class Scene:
         low = np.min([np.array(box.min) for box in boxes], axis=0).astype(np.float64)
         high = np.max([np.array(box.max) for box in boxes], axis=0).astype(np.float64)
         return low, high
-
-
-def _inward(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
-    """(V, 3) from vertices on the border of the surface towards the middle of their faces; zero elsewhere."""
-    border = border_vertices(faces, len(positions))
-    centers = positions[faces].mean(axis=1)
-    inward = np.zeros_like(positions)
-    for corner in range(3):
-        vertex = faces[:, corner]
-        chosen = border[vertex]
-        np.add.at(inward, vertex[chosen], centers[chosen] - positions[vertex[chosen]])
-    return inward
 
 
 def mitsuba_scene(scene: Scene, **others: Any) -> Any:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,12 @@ class View:
     height: int
     near: float
     far: float
+
+    def moved(self, by: ArrayLike) -> View:
+        """The same camera, its position moved by (3,)."""
+        matrix = np.array(self.to_world)
+        matrix[:3, 3] += by
+        return replace(self, to_world=matrix.tolist())
 
     def as_dict(self) -> dict[str, Any]:
         """The attributes by name, for files."""

@@ -41,9 +41,10 @@ def unoccluded_transfer(bandlimit: int, normals: NDArray) -> NDArray[np.float32]
 
 
 class _TracedBlock(NamedTuple):
-    """Receivers, which of them were traced (their places), what was found there, and the rays that it took."""
+    """Receivers; places among them of the hidden and of the traced ones; what was found there, and its rays."""
 
     vertices: NDArray[np.int64]
+    hidden: NDArray[np.int64]
     traced: NDArray[np.int64]
     visibility: VisibilitySamples | None
     rays: int
@@ -100,6 +101,11 @@ class DirectTransfer(Estimator[_TracedBlock]):
         return traced
 
     @cached_property
+    def _is_hidden(self) -> NDArray[np.bool_]:
+        """Behind a surface that an edge goes through: such receivers take what their neighbours before it receive."""
+        return self.scene.is_hidden if self.shadowed.size else np.zeros(len(self.scene.receivers), dtype=bool)
+
+    @cached_property
     def _instruments(self) -> tuple[VisibilityTracer, OcclusionTables]:
         """What traces and what projects: made together, since tables made while traced blocks wait take 10 % more."""
         directions = direction_set(self.nodes)
@@ -112,19 +118,21 @@ class DirectTransfer(Estimator[_TracedBlock]):
 
     def trace(self, vertices: NDArray) -> _TracedBlock:
         """Find what is blocked for those of the receivers that can be shadowed."""
-        traced = np.flatnonzero(self._is_traced[vertices])
+        hidden = np.flatnonzero(self._is_hidden[vertices])
+        traced = np.flatnonzero(self._is_traced[vertices] & ~self._is_hidden[vertices])
         if traced.size == 0:
-            return _TracedBlock(vertices, traced, None, 0)
+            return _TracedBlock(vertices, hidden, traced, None, 0)
         tracer, _ = self._instruments
         before = tracer.rays
         visibility = tracer.trace(vertices[traced])
-        return _TracedBlock(vertices, traced, visibility, tracer.rays - before)
+        return _TracedBlock(vertices, hidden, traced, visibility, tracer.rays - before)
 
     def project(self, samples: _TracedBlock) -> TransferBlock:
         """What is not blocked, as transfer vectors."""
-        vertices, traced, visibility, rays = samples
+        vertices, hidden, traced, visibility, rays = samples
         vectors = unoccluded_transfer(self.bandlimit, self.scene.receivers.normals[vertices])
         blocked = np.zeros(vertices.size, dtype=np.float32)
+        vectors[hidden], blocked[hidden] = 0.0, 1.0
         if visibility is not None:
             _, tables = self._instruments
             occluded = tables.blocked(visibility)

@@ -25,7 +25,7 @@ from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.effects import SIMULATED, Plan
 from slepian_prt.transport.estimator import Estimator, TransferBlock, cut_pieces, receivers_per_block
-from slepian_prt.transport.hemisphere import turned_frames, upload_frames
+from slepian_prt.transport.hemisphere import turned_frames, upload_frames, upload_origins
 from slepian_prt.transport.settings import TransportSettings
 
 _RAYS_PER_BLOCK = 1 << 19
@@ -155,7 +155,7 @@ class ViewTransfer(Estimator[_ViewSamples]):
         alive = above > 0.0
         if self._shadows:
             self._rays += vertices.size * half
-            origin = mi.Point3f(self._gathered(self.scene.ray_origins, vertices, place))
+            origin = upload_origins(mi, self.scene.ray_origins, vertices)(place, outward)
             alive &= ~self.scene.geometry.ray_test(mi.Ray3f(origin, outward), alive)
         angle = dr.dot(self._gathered(self._axes, vertices, place), outward)
         bin = dr.clip(mi.UInt32(dr.safe_acos(angle) * (_BINS / math.pi)), 0, _BINS - 1)

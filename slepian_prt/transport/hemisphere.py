@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.scene.ray_origins import RayOrigins
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.rotation import rotation_to
 from slepian_prt.transport.directions import DirectionSet
@@ -44,13 +45,13 @@ class HemisphereRays:
         import drjit as dr
 
         mi = self.mi
-        origin = mi.Point3f(self._origins[vertices].T.astype(np.float32))
+        origin = upload_origins(mi, self._origins, vertices)
         to_world = upload_frames(mi, frames)
 
         def rays(place: Any, direction: Any) -> Any:
             self.rays += dr.width(place)
-            local = dr.gather(mi.Vector3f, self._vectors, direction)
-            return mi.Ray3f(dr.gather(mi.Point3f, origin, place), to_world(place, local))
+            outward = to_world(place, dr.gather(mi.Vector3f, self._vectors, direction))
+            return mi.Ray3f(origin(place, outward), outward)
 
         return rays
 
@@ -62,6 +63,23 @@ class HemisphereRays:
         lane = dr.arange(self.mi.UInt32, count * self.directions.size)
         place = lane // size
         return place, lane - place * size
+
+
+def upload_origins(mi: Any, origins: RayOrigins, vertices: NDArray) -> Callable[[Any, Any], Any]:
+    """Give Mitsuba the origins of some receivers; returns a function of (place among them, direction in the world)."""
+    import drjit as dr
+
+    front = mi.Point3f(origins.front[vertices].T.astype(np.float32))
+    if not origins.sheets[vertices].any():
+        return lambda place, _: dr.gather(mi.Point3f, front, place)
+    back = mi.Point3f(origins.back[vertices].T.astype(np.float32))
+    axis = mi.Vector3f(origins.axes[vertices].T.astype(np.float32))
+
+    def origin(place: Any, outward: Any) -> Any:
+        behind = dr.dot(dr.gather(mi.Vector3f, axis, place), outward) < 0.0
+        return dr.select(behind, dr.gather(mi.Point3f, back, place), dr.gather(mi.Point3f, front, place))
+
+    return origin
 
 
 def upload_frames(mi: Any, frames: NDArray) -> Callable[[Any, Any], Any]:

@@ -2,7 +2,8 @@
 
 Where a block stands on a floor, a vertex of the floor under the block is rightly dark, but light is interpolated on
 triangles: the darkness would show as teeth around the block. Such vertices are filled with the mean of their neighbours
-that are outside. As light mappers do, they are told from dark corners by what they see: the backs of surfaces.
+that are outside. As light mappers do, they are told from dark corners by what they see: the backs of surfaces. So are
+vertices just behind a surface that an edge of theirs goes through (`slepian_prt.scene.piercing`).
 """
 
 from __future__ import annotations
@@ -46,12 +47,18 @@ def find_interior(scene: Scene, dark: NDArray) -> InteriorVertices:
     """Which of the vertices ``dark``, that see nothing of the sky, are inside something, and what fills them."""
     count = len(scene.receivers)
     inside = np.zeros(count, dtype=bool)
-    inside[dark[_sees_backs(scene, dark)]] = True
-    pairs = scene.receivers.neighbours
-    near, far = np.concatenate([pairs, pairs[:, ::-1]]).T
-    chosen = inside[near] & ~inside[far]
-    vertices, row = np.unique(near[chosen], return_inverse=True)
-    weights = csr_array((np.ones(row.size, dtype=np.float32), (row, far[chosen])), shape=(vertices.size, count))
+    if dark.size == 0:
+        pairs = np.zeros((0, 2), dtype=np.int64)  # without the geometry, which convex scenes do not need
+    else:
+        pierced, dark = scene.pierced, dark[~scene.is_hidden[dark]]
+        inside[dark[_sees_backs(scene, dark)]] = True
+        pairs = scene.receivers.neighbours
+        pairs = np.concatenate([pairs, pairs[:, ::-1]])
+        pairs = np.concatenate([pairs[inside[pairs[:, 0]]], pierced])
+        inside |= scene.is_hidden
+    near, far = pairs[~inside[pairs[:, 1]]].T
+    vertices, row = np.unique(near, return_inverse=True)
+    weights = csr_array((np.ones(row.size, dtype=np.float32), (row, far)), shape=(vertices.size, count))
     weights.data /= np.repeat(weights.sum(axis=1), np.diff(weights.indptr))
     return InteriorVertices(vertices, weights)
 
@@ -59,7 +66,7 @@ def find_interior(scene: Scene, dark: NDArray) -> InteriorVertices:
 def _sees_backs(scene: Scene, vertices: NDArray) -> NDArray[np.bool_]:
     """(n,) True where most of what is around a vertex turns its back to it."""
     if vertices.size == 0:
-        return np.zeros(0, dtype=bool)  # without the geometry, which convex scenes do not need
+        return np.zeros(0, dtype=bool)
     import drjit as dr
 
     mi = scene.mi

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,19 +201,13 @@ class _Gatherer(HemisphereRays):
 
     def __init__(self, scene: Scene, directions: DirectionSet, seed: int) -> None:
         mi = scene.mi
-        import drjit as dr
 
         super().__init__(scene, directions, seed)
         self._faces = scene.faces
         corners = scene.traced_positions[scene.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._face_normals = mi.Vector3f(normals.T.astype(np.float32))
-        # The first face of each receiver by Dr.Jit's number of the shape; -1 for what only casts shadows.
-        numbers = [int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)))[0]) for shape in scene.shapes]
-        first = np.full(max(numbers) + 1, -1, dtype=np.int32)
-        for number, face in zip(numbers, scene.first_faces, strict=False):
-            first[number] = face
-        self._first_face = mi.Int32(first)
+        self._scene = scene
 
     def gather(self, vertices: NDArray, blocked: NDArray | None) -> _GatherBlock:
         """Trace a block of receivers; rows are scaled to the blocked part of each hemisphere where that is known."""
@@ -223,10 +217,8 @@ class _Gatherer(HemisphereRays):
         ray = self.rays_from(vertices, self.frames(vertices))(*self.to_nodes(count))
         hit = self.geometry.ray_intersect_preliminary(ray)
         valid = hit.is_valid()
-        number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
-        first = dr.gather(mi.Int32, self._first_face, number, valid)
-        receives = valid & (first >= 0)
-        face = mi.UInt32(first) + hit.prim_index
+        face = self._scene.hit_faces(hit)
+        receives = face >= 0
         front = receives & (dr.dot(dr.gather(mi.Vector3f, self._face_normals, face, receives), ray.d) < 0.0)
         u, v = hit.prim_uv
         dr.eval(valid, receives, front, face, u, v)

@@ -34,8 +34,9 @@ def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
         block = slice(begin, begin + size)
         reach = (normals[block] @ corners.T).max(axis=1)
         heights[block] = reach - np.einsum("ij,ij->i", normals[block], positions[block])
-    # A vertex normal of a convex mesh is the mean over its faces; half the ray offset is far below what a ray sees.
-    return scene.receivers.active & (heights > 0.5 * scene.ray_offsets)
+    # A vertex normal of a convex mesh is the mean over its faces; half the height of a ray's start is
+    # far below what a ray sees.
+    return scene.receivers.active & (heights > 0.5 * scene.ray_heights)
 
 
 def _hull_corners(scene: Scene) -> NDArray[np.float64]:

@@ -50,7 +50,7 @@ def skull(data):
         tracer = VisibilityTracer(scene, direction_set(256), 0)
         directions = hemisphere_fibonacci(rays)
         harmonics = (real_sh(bandlimit, directions) / rays).astype(np.float32)
-        frames, origins = tracer.frames(chosen), scene.ray_origins[chosen]
+        frames, origins = tracer.frames(chosen), scene.ray_origins.front[chosen]
         blocked = np.empty((200, harmonics.shape[1]))
         for i, (frame, origin) in enumerate(zip(frames, origins, strict=True)):
             world = (directions @ frame.T).astype(np.float32)

@@ -1,0 +1,104 @@
+"""Scenes far from the origin, loaded where float32 is fine enough; and what is too coarse all the same.
+
+Mitsuba keeps positions in float32, where map coordinates of 5 million metres have steps of half a metre. Its parser
+keeps transforms in float64, so that they can be moved before any shape is made.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from slepian_prt.scene.receivers import Receivers
+
+# A scene is moved if the middle of its box is so many diagonals from the origin.
+_FAR = 16.0
+
+# Properties that place a shape without a transform of its own.
+_PLACES = ("center", "p0", "p1")
+_PLACED = ("Shape", "Sensor", "Emitter")
+
+# What float32 resolves to less than this part of the size of a piece of surface is worth a remark.
+_COARSE = 1e-3
+
+
+def far_center(scene: Any) -> NDArray[np.float64] | None:
+    """(3,) the middle of a Mitsuba scene if it is far from the origin for its size, in whole units."""
+    box = scene.bbox()
+    low, high = (np.array(corner, dtype=np.float64) for corner in (box.min, box.max))
+    center = 0.5 * (low + high)
+    if not np.all(np.isfinite(center)) or np.linalg.norm(center) <= _FAR * np.linalg.norm(high - low):
+        return None
+    return np.round(center)
+
+
+def load_about(mi: Any, path: Path, center: NDArray) -> Any:
+    """Load an .xml scene, moved so that ``center`` is the origin; unoptimised, as shapes keep their names then."""
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_meshes = config.merge_equivalent = False
+    state = mi.parser.parse_file(config, str(path))
+    mi.parser.transform_all(config, state)
+    for number in _top_level(mi, state):
+        node = state.nodes[number]
+        if node.type.name in _PLACED:
+            _move(mi, node.props, -center)
+    outside = mi.file_resolver()
+    resolver = mi.FileResolver(outside)
+    resolver.prepend(str(path.parent))
+    try:
+        mi.set_file_resolver(resolver)
+        return mi.parser.instantiate(config, state)
+    finally:
+        mi.set_file_resolver(outside)
+
+
+def _top_level(mi: Any, state: Any) -> list[int]:
+    """The nodes that the scene itself refers to."""
+    properties = state.root.props
+    values = [properties[name] for name in properties]
+    return [int(value.index()) for value in values if isinstance(value, mi.Properties.ResolvedReference)]
+
+
+def _move(mi: Any, properties: Any, by: NDArray) -> None:
+    names = set(properties)
+    shift = mi.ScalarAffineTransform4d().translate(by.tolist())
+    if "to_world" in names:
+        properties["to_world"] = shift @ properties["to_world"]
+    elif moved := [name for name in _PLACES if name in names]:
+        for name in moved:
+            properties[name] = (np.array(properties[name], dtype=np.float64) + by).tolist()
+    elif properties.plugin_name() not in ("envmap", "constant", "sunsky"):
+        properties["to_world"] = shift
+
+
+def coarse_receivers(positions: NDArray, receivers: Receivers) -> tuple[int, float]:
+    """How many receivers belong to pieces of surface that float32 hardly resolves, and the worst step of these.
+
+    Parameters
+    ----------
+    positions : (V, 3)
+        As they are traced.
+    receivers : Receivers
+
+    Returns
+    -------
+    count : int
+    step : float
+        Relative to the size of the piece.
+    """
+    first, second = receivers.neighbours.T
+    links = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(len(positions), len(positions)))
+    count, piece = connected_components(links, directed=False)
+    low, high, far = np.full((count, 3), np.inf), np.full((count, 3), -np.inf), np.zeros(count)
+    np.minimum.at(low, piece, positions)
+    np.maximum.at(high, piece, positions)
+    np.maximum.at(far, piece, np.abs(positions).max(axis=1))
+    size = np.linalg.norm(high - low, axis=1)
+    step = np.spacing(far.astype(np.float32)) / np.maximum(size, 1e-300)
+    coarse = (step > _COARSE)[piece] & receivers.active
+    return int(coarse.sum()), float(step[piece[coarse]].max(initial=0.0))
