@@ -38,6 +38,7 @@ def strip_indices() -> np.ndarray:
     i = np.arange(20)
     return np.concatenate([np.stack([i, 1000 + 2 * i], axis=1).ravel(), scrambled(12)]).astype(np.uint32)
 
+
 ATTRIBUTES_0 = base64.b64decode(
     "oKqqqqoGZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZm"
     "ZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZmZgAEEAAACAAAAAACAPr///8AAREzM1VXd3mZu7vd3///Dw8P"

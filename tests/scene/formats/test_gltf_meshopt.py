@@ -1,4 +1,4 @@
-"""meshoptimizer's codecs against what its own encoder was given, an encoder of ours, and the formulas of the filters."""
+"""meshoptimizer's codecs against what its own encoder was given, an encoder of ours, and formulas of the filters."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_triangles_of_the_reference_encoder():
     assert_exact(turned[0], turned[1], SAME)
 
 
-# --- An encoder of ours, from the text of the extension: any width that a mode has will do, since bytes may escape. ----
+# --- An encoder of ours, from the text of the extension: any width that a mode has will do, as bytes may escape. ----
 
 
 def pack_group(values, width):
@@ -131,7 +131,7 @@ def test_broken_indices(decode, stream, count, message):
         decode(stream, count)
 
 
-# --- Filters, against the numbers that went in; half a step of the coarser of both roundings, and one of the output. ---
+# --- Filters, against the numbers that went in; half a step of the coarser of both roundings, and one of the output. --
 
 
 @pytest.mark.parametrize(("stride", "bits"), [(4, 8), (4, 5), (8, 12), (8, 16)])
