@@ -28,6 +28,7 @@ from slepian_prt.scene.formats.gltf_nodes import (
 )
 from slepian_prt.scene.formats.gltf_primitives import read_skinning
 from slepian_prt.scene.formats.gltf_shapes import Reading, Shape, place_shape, read_shapes
+from slepian_prt.scene.formats.gltf_transforms import Transforms, make_transforms
 from slepian_prt.scene.formats.parts import MeshFile, MeshPart
 
 # Read, or without a say in where surfaces are and what they reflect diffusely.
@@ -100,44 +101,45 @@ def _check_extensions(document: Document) -> None:
 
 def _place_parts(reading: Reading) -> Iterator[MeshPart]:
     document = reading.document
-    nodes, meshes = document.table("nodes"), document.table("meshes")
     parents = read_parents(document)
     placed = place_nodes(document, parents)
-    if not nodes and not document.table("scenes") and meshes:
-        reading.notes["the file has no scene; its meshes are read as they are"] += 1
-        for index, mesh in enumerate(meshes):
+    if not document.table("nodes") and not document.table("scenes"):
+        for index, mesh in enumerate(document.table("meshes")):
+            reading.notes["the file has no scene; its meshes are read as they are"] = 1
             for shape in read_shapes(reading, index, mesh, ()):
-                yield place_shape(shape, np.eye(4), _name(mesh.text("name", "") or mesh.place, mesh, shape))
+                name = _name(mesh.text("name", "") or mesh.place, mesh, shape)
+                yield place_shape(shape, make_transforms(np.eye(4)), name)
         return
-    for node_index in list_drawn(document, parents, reading.notes):
-        node = nodes[node_index]
+    transforms = make_transforms(placed)
+    for index in list_drawn(document, parents, reading.notes):
+        node = document.table("nodes")[index]
         if "mesh" not in node.values:
             continue
-        mesh = document.find("meshes", node, "mesh")
-        name = _find_name(nodes, parents, node_index) or mesh.text("name", "") or node.place
-        shapes = read_shapes(reading, node.integer("mesh"), mesh, node.numbers("weights", (), 0))
-        if "skin" in node.values:
-            joints = read_joints(document, node, placed)
-            for shape in shapes:
-                matrices = read_skinning(shape.primitive, joints, len(shape.part.positions))
-                yield place_shape(shape, matrices, _name(name, mesh, shape))
-            continue
-        instances = read_instances(document, node)
-        matrices = placed[node_index] @ (np.eye(4)[None] if instances is None else instances)
-        for number, matrix in enumerate(matrices):
-            suffix = "" if instances is None else f" [{number}]"
-            for shape in shapes:
-                yield place_shape(shape, matrix, _name(name, mesh, shape) + suffix)
+        # Packers put nameless nodes below those with names.
+        above = document.table("nodes")[parents[index]].text("name", "") if parents[index] >= 0 else ""
+        yield from _place_mesh(reading, node, above, transforms[index], placed)
 
 
-def _find_name(nodes: list[Entry], parents: NDArray[np.int64], index: int) -> str:
-    """The name of a node, or of the nearest above it that has one: packers put nameless ones below."""
-    while index >= 0:
-        name = nodes[index].text("name", "")
-        if name:
-            return name
-        index = int(parents[index])
-    return ""
+def _place_mesh(
+    reading: Reading, node: Entry, above: str, transform: Transforms, placed: NDArray[np.float64]
+) -> Iterator[MeshPart]:
+    """The parts of a node's mesh; ``above`` is the name of its parent, ``placed`` has the transforms of all nodes."""
+    document = reading.document
+    mesh = document.find("meshes", node, "mesh")
+    shapes = read_shapes(reading, node.integer("mesh"), mesh, node.numbers("weights", (), 0))
+    joints = read_joints(document, node, placed) if "skin" in node.values else None
+    instances = read_instances(document, node) if joints is None else None
+    copies = None if instances is None else make_transforms(transform.matrices @ instances)
+    for shape in shapes:
+        name = _name(node.text("name", "") or mesh.text("name", "") or above or node.place, mesh, shape)
+        if joints is not None:
+            skinning = read_skinning(shape.primitive, joints, len(shape.part.positions))
+            yield place_shape(shape, make_transforms(skinning), name)
+        elif copies is None:
+            yield place_shape(shape, transform, name)
+        else:
+            for number in range(len(copies.mirrored)):
+                yield place_shape(shape, copies[number], f"{name} [{number}]")
 
 
 def _name(name: str, mesh: Entry, shape: Shape) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.gltf_json import Entry, parse_json
+from slepian_prt.scene.formats.parts import Texture
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,8 @@ class Document:
         The lists of ``root``, read when they are needed first.
     buffers, views : dict of arrays of bytes
         Likewise, by index.
+    textures : dict of Texture
+        Likewise; None where the image cannot be read. One object each, so that its image is decoded once.
     """
 
     root: Entry
@@ -38,6 +41,7 @@ class Document:
     tables: dict[str, list[Entry]] = field(default_factory=dict)
     buffers: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     views: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
+    textures: dict[int, Texture | None] = field(default_factory=dict)
 
     @property
     def path(self) -> Path:

@@ -137,14 +137,21 @@ def _read_texture(
     info = user.entry(key)
     if info is None:
         return None, None
-    entry = document.find("textures", info, "index")
+    index = info.integer("index")
+    if index not in document.textures:
+        document.textures[index] = _make_texture(document, document.at("textures", index, info), notes)
+    texture = document.textures[index]
+    return (None, None) if texture is None else (texture, _read_mapping(info))
+
+
+def _make_texture(document: Document, entry: Entry, notes: Counter[str]) -> Texture | None:
     wrap = _read_wrap(document, entry)
     image = _find_image(document, entry, notes)
     if image is None:
-        return None, None
+        return None
     name = " ".join(image.text("name", "").split()) or image.place
     source = _read_image(document, image, name, notes)
-    return (None, None) if source is None else (Texture(name, source, wrap), _read_mapping(info))
+    return None if source is None else Texture(name, source, wrap)
 
 
 def _read_wrap(document: Document, entry: Entry) -> tuple[Wrap, Wrap]:

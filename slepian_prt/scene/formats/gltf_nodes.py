@@ -44,10 +44,9 @@ def read_parents(document: Document) -> NDArray[np.int64]:
 
 def place_nodes(document: Document, parents: NDArray[np.int64]) -> NDArray[np.float64]:
     """(N, 4, 4) transforms of the nodes to the space of the file."""
-    nodes = document.table("nodes")
-    own = [_read_transform(node) for node in nodes]
-    placed: list[NDArray[np.float64] | None] = [None] * len(nodes)
-    for index in range(len(nodes)):
+    own = _read_transforms(document)
+    placed: list[NDArray[np.float64] | None] = [None] * len(own)
+    for index in range(len(own)):
         chain = [index]
         while placed[chain[-1]] is None and parents[chain[-1]] >= 0:
             chain.append(int(parents[chain[-1]]))
@@ -58,17 +57,24 @@ def place_nodes(document: Document, parents: NDArray[np.int64]) -> NDArray[np.fl
     return np.array(placed, dtype=np.float64).reshape(-1, 4, 4)
 
 
-def _read_transform(node: Entry) -> NDArray[np.float64]:
-    """(4, 4) of a node to its parent."""
-    if "matrix" in node.values:
-        matrix = np.array(node.numbers("matrix", (), 16)).reshape(4, 4).T
-        if np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
-            raise node.fault(f"has a matrix that is not affine (its last row is {matrix[3].tolist()})")
-        return matrix
-    rotation = node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))
-    if not any(rotation):
-        raise node.fault("has a rotation of zero length")
-    return compose(node.numbers("translation", (0.0, 0.0, 0.0)), rotation, node.numbers("scale", (1.0, 1.0, 1.0)))
+def _read_transforms(document: Document) -> NDArray[np.float64]:
+    """(N, 4, 4) of each node to its parent."""
+    nodes = document.table("nodes")
+    zero, one, still = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
+    translations = [node.numbers("translation", zero) for node in nodes]
+    rotations = [node.numbers("rotation", still) for node in nodes]
+    scales = [node.numbers("scale", one) for node in nodes]
+    for node, rotation in zip(nodes, rotations, strict=True):
+        if not any(rotation):
+            raise node.fault("has a rotation of zero length")
+    out = compose(*(np.reshape(v, (-1, size)) for v, size in ((translations, 3), (rotations, 4), (scales, 3))))
+    for index, node in enumerate(nodes):
+        if "matrix" in node.values:
+            matrix = np.array(node.numbers("matrix", (), 16)).reshape(4, 4).T
+            if np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
+                raise node.fault(f"has a matrix that is not affine (its last row is {matrix[3].tolist()})")
+            out[index] = matrix
+    return out
 
 
 def list_drawn(document: Document, parents: NDArray[np.int64], notes: Counter[str]) -> list[int]:

@@ -20,7 +20,7 @@ from slepian_prt.scene.formats.gltf_primitives import (
     read_attribute,
     read_faces,
 )
-from slepian_prt.scene.formats.gltf_transforms import is_mirrored, transform_normals, transform_points
+from slepian_prt.scene.formats.gltf_transforms import Transforms, transform_normals, transform_points
 from slepian_prt.scene.formats.parts import MeshPart
 
 
@@ -116,18 +116,18 @@ def _map_corners(
     return (flat @ matrix[:, :2].T + matrix[:, 2]).astype(np.float32)[part.faces]
 
 
-def place_shape(shape: Shape, matrices: NDArray[np.float64], name: str) -> MeshPart:
-    """Its part where one matrix (4, 4) takes it, or one for each vertex (V, 3, 4)."""
+def place_shape(shape: Shape, transforms: Transforms, name: str) -> MeshPart:
+    """Its part where one transform takes it, or one for each vertex."""
     part = shape.part
-    mirrored = is_mirrored(matrices)
+    mirrored = transforms.mirrored
     # Where the corners of a face disagree, by the majority.
-    flipped = mirrored[part.faces].sum(axis=1) > 1 if matrices.ndim == 3 else np.full(len(part.faces), mirrored)
+    flipped = mirrored[part.faces].sum(axis=1) > 1 if mirrored.ndim else np.full(len(part.faces), mirrored)
     return replace(
         part,
         name=name,
-        positions=transform_points(matrices, part.positions),
+        positions=transform_points(transforms, part.positions),
         faces=_turn(part.faces, flipped),
-        normals=None if part.normals is None else transform_normals(matrices, part.normals),
+        normals=None if part.normals is None else transform_normals(transforms, part.normals),
         uv=None if part.uv is None else _turn(part.uv, flipped),
         metallic_uv=None if part.metallic_uv is None else _turn(part.metallic_uv, flipped),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -35,33 +37,52 @@ def compose(
     return out
 
 
-def transform_points(matrices: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(V, 3) points under one matrix (4, 4), or each under its own (V, 3 or 4, 4)."""
-    linear, offset = matrices[..., :3, :3], matrices[..., :3, 3]
-    if matrices.ndim == 2:
+@dataclass(frozen=True, eq=False)
+class Transforms:
+    """One transform, or many.
+
+    Attributes
+    ----------
+    matrices : (…, 3 or 4, 4)
+    normals : (…, 3, 3)
+        What they do to normals, but for the length: their inverse transposes. Those are made of cofactors, which a
+        matrix that flattens has, too.
+    mirrored : (…,) bool
+        Whether they turn the winding of faces around.
+    """
+
+    matrices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    mirrored: NDArray[np.bool_]
+
+    def __getitem__(self, index: int) -> Transforms:
+        return Transforms(self.matrices[index], self.normals[index], self.mirrored[index])
+
+
+def make_transforms(matrices: NDArray[np.float64]) -> Transforms:
+    """Those of affine ``matrices`` (…, 3 or 4, 4)."""
+    linear = matrices[..., :3, :3]
+    # Of unit size: determinants of tiny scales would vanish.
+    size = np.abs(linear).max(axis=(-2, -1), keepdims=True)
+    linear = linear / np.where(size > 0.0, size, 1.0)
+    cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
+    mirrored = np.einsum("...i,...i->...", linear[..., 0, :], cofactors[..., 0, :]) < 0.0
+    return Transforms(matrices, np.where(mirrored[..., None, None], -cofactors, cofactors), mirrored)
+
+
+def transform_points(transforms: Transforms, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(V, 3) points under one transform, or each under its own."""
+    linear, offset = transforms.matrices[..., :3, :3], transforms.matrices[..., :3, 3]
+    if linear.ndim == 2:
         return points @ linear.T + offset
     return np.einsum("vij,vj->vi", linear, points) + offset
 
 
-def transform_normals(matrices: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(V, 3) unit normals under the inverse transpose of one matrix, or each of its own; zero where there is none.
-
-    Cofactors in place of the inverse: they also serve a matrix that flattens.
-    """
-    a = _to_unit_size(matrices[..., :3, :3])
-    cofactors = np.stack([np.cross(a[..., (k + 1) % 3, :], a[..., (k + 2) % 3, :]) for k in range(3)], axis=-2)
-    signed = cofactors * np.where(is_mirrored(matrices), -1.0, 1.0)[..., None, None]
-    turned = normals @ signed.T if signed.ndim == 2 else np.einsum("vij,vj->vi", signed, normals)
-    length = np.linalg.norm(turned, axis=1, keepdims=True)
-    return np.divide(turned, length, out=np.zeros_like(turned), where=length != 0.0)
-
-
-def is_mirrored(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether each matrix (…, 3 or 4, 4) turns the winding of faces around."""
-    return np.linalg.det(_to_unit_size(matrices[..., :3, :3])) < 0.0
-
-
-def _to_unit_size(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Divided by the largest element: determinants of tiny scales would otherwise vanish."""
-    size = np.abs(linear).max(axis=(-2, -1), keepdims=True)
-    return linear / np.where(size > 0.0, size, 1.0)
+def transform_normals(transforms: Transforms, normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(V, 3) unit normals under one transform, or each under its own; zero where there is none."""
+    if transforms.normals.ndim == 2:
+        turned = normals @ transforms.normals.T
+    else:
+        turned = np.einsum("vij,vj->vi", transforms.normals, normals)
+    length = np.sqrt(np.einsum("vi,vi->v", turned, turned))[:, None]
+    return turned / np.where(length == 0.0, 1.0, length)

@@ -202,12 +202,17 @@ def test_unlit(writer, read):
 
 
 def test_materials_are_shared(writer, tmp_path):
-    """Parts of one material have the same object, so that its texture is decoded once."""
+    """Parts of one material have the same object, and materials of one texture, so that it is decoded once."""
     writer.json["materials"] = [rough(baseColorTexture={"index": 0})]
     writer.primitive()["material"] = 0
     writer.node(mesh=0)
     mesh = writer.mesh(TETRAHEDRON, TEXCOORD_0=FLAT)
     writer.primitive(mesh)["material"] = 0
     writer.node(mesh=mesh)
-    first, second, third = (part.material for part in read_gltf(writer.write(tmp_path)).parts)
+    writer.json["materials"].append(rough(baseColorTexture={"index": 0}, baseColorFactor=[0, 0, 1, 1]))
+    writer.node(mesh=writer.mesh(TETRAHEDRON, TEXCOORD_0=FLAT))
+    writer.primitive(2)["material"] = 1
+    first, second, third, other = (part.material for part in read_gltf(writer.write(tmp_path)).parts)
     assert first is second is third
+    assert other is not first
+    assert other.texture is first.texture
