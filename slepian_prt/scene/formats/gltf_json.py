@@ -30,7 +30,7 @@ _KINDS = {
 
 
 def parse_json(path: Path, content: bytes) -> Entry:
-    """The object that is the whole of a glTF file.
+    """The object that is the whole of a glTF file; zeros behind it, with which some exporters pad it, do not matter.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def parse_json(path: Path, content: bytes) -> Entry:
         Not UTF-8, not JSON, not an object.
     """
     try:
-        values = json.loads(content.decode("utf-8-sig"), parse_constant=_refuse_constant)
+        values = json.loads(content.rstrip(b"\0").decode("utf-8-sig"), parse_constant=_refuse_constant)
     except UnicodeDecodeError:
         reason = "it is not UTF-8"
     except RecursionError:

@@ -115,8 +115,7 @@ def read_instances(document: Document, node: Entry) -> NDArray[np.float64] | Non
     found = {}
     for name, kind in kinds.items():
         if name in attributes.values:
-            elements = read_accessor(document, attributes.integer(name), attributes, (kind,))
-            found[name] = elements.scaled(normalized=True if name == "ROTATION" else None)
+            found[name] = read_accessor(document, attributes.integer(name), attributes, (kind,)).scaled()
     if not found:
         # Other attributes alone, as numbers of copies at one place.
         return np.eye(4)[None]

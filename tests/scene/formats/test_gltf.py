@@ -347,9 +347,10 @@ def test_buffers_of_their_own(writer, tmp_path):
     writer.node(mesh=0)
     (tmp_path / "sub folder").mkdir()
     (tmp_path / "sub folder" / "sphère 50%.bin").write_bytes(writer.blob)
+    (tmp_path / "a%41.bin").write_bytes(writer.blob)
     packed = base64.b64encode(bytes(writer.blob)).decode()
     for uri in (
-        quote("sub folder/sphère 50%.bin"), "sub folder/sphère 50%.bin", "sub folder\\sphère 50%.bin",
+        quote("sub folder/sphère 50%.bin"), "sub folder/sphère 50%.bin", "sub folder\\sphère 50%.bin", "a%41.bin",
         f"data:application/octet-stream;base64,{packed}", f"data:;base64,{packed.rstrip('=')}",
         "data:application/octet-stream," + quote(bytes(writer.blob)),
     ):  # fmt: skip
@@ -359,5 +360,8 @@ def test_buffers_of_their_own(writer, tmp_path):
         assert_exact(read_gltf(path).parts[0].positions, TETRAHEDRON, COPIED)
         (tmp_path / "b.glb").write_bytes(pack(json.dumps(content).encode()))
         assert_exact(read_gltf(tmp_path / "b.glb").parts[0].positions, TETRAHEDRON, COPIED)
+    text = json.dumps({**writer.json, "buffers": [{"byteLength": len(writer.blob)}]}).encode()
+    (tmp_path / "d.glb").write_bytes(pack(text + bytes(-len(text) % 4 + 4), bytes(writer.blob)))  # padded with zeros
+    assert_exact(read_gltf(tmp_path / "d.glb").parts[0].positions, TETRAHEDRON, COPIED)
     (tmp_path / "c.gltf").write_bytes(writer.glb() + b"trailing")
     assert_exact(read_gltf(tmp_path / "c.gltf").parts[0].positions, TETRAHEDRON, COPIED)

@@ -29,6 +29,12 @@ def test_triangles_of_the_reference_encoder():
     assert_exact(turned[0], turned[1], SAME)
 
 
+def test_triangles_that_start_again():
+    """Code 0xfe with a byte 0 counts new vertices from 0 again, where streams were joined."""
+    stream = bytes([0xE1, 0xF0, 0xFE, 0x00]) + bytes(16)
+    assert_exact(decode_triangles(stream, 6), [0, 1, 2, 0, 1, 2], SAME)
+
+
 # --- An encoder of ours, from the text of the extension: any width that a mode has will do, as bytes may escape. ----
 
 
