@@ -16,8 +16,9 @@ NEGATIVE_TOLERANCE = 1e-3
 # Brighter than any light, and low enough that radiance of receivers stays far below the end of float32, 3.4e38.
 BRIGHTEST = 1e30
 
-# More is no map but a damaged header: 65536 x 32768.
+# More is no map but a damaged header: 65536 x 32768, and the longest side of a larger window that holds it.
 _MOST_TEXELS = 1 << 31
+_LONGEST_SIDE = 1 << 17
 
 # Texels of a block of rows, and rows that compressed blocks of OpenEXR end at.
 _BLOCK = 1 << 21
@@ -56,20 +57,20 @@ class Rows:
 
 
 def check_shape(origin: str, height: int, width: int) -> None:
-    """Raise UserError unless a map is twice as wide as high; before memory is taken for it."""
+    """Raise UserError unless a map is twice as wide as high, and of a size that maps have."""
+    check_size(origin, height, width)
     if width != 2 * height:
         raise UserError(
             f"{origin}: is {width} x {height} texels; a latitude-longitude map is twice as wide as "
             "high, so convert it (a cube map or light probe needs to be resampled) or crop it"
         )
-    check_size(origin, height, width)
 
 
 def check_size(origin: str, height: int, width: int) -> None:
-    """Raise UserError for a picture without texels, or with more than any map has."""
+    """Raise UserError for a picture without texels, or with more than any map has; before memory is taken for it."""
     if height <= 0 or width <= 0:
         raise UserError(f"{origin}: is {width} x {height} texels, so there is no light in it; write it again")
-    if height * width > _MOST_TEXELS:
+    if height * width > _MOST_TEXELS or max(height, width) > _LONGEST_SIDE:
         raise UserError(
             f"{origin}: says it is {width} x {height} texels, and at most 65536 x 32768 are read; make it smaller"
         )
@@ -119,7 +120,7 @@ class Checked:
             first += len(block)
             yield block
         if lost > NEGATIVE_TOLERANCE * kept and not self.clamp_negative:
-            share = f"amount to {lost / kept:.1%} of the light" if kept > 0.0 else "there is no light beside them"
+            share = f"amount to {lost / kept:.1%} of the light" if lost < kept else "outweigh all light in the map"
             raise UserError(
                 f"{rows.origin}: {self.clamped} texels are negative (down to {lowest:.4g}) and {share}; repair the "
                 "map, or pass `clamp_negative` to set them to zero"

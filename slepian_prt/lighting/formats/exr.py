@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +70,11 @@ def _stored_rows(image: Any, names: list[str], data: Window, top: int, bottom: i
     import Imath
 
     kind = Imath.PixelType(Imath.PixelType.FLOAT)
-    rows = image.channels(names, kind, top, bottom)
+    try:
+        with _without_complaints():
+            rows = image.channels(names, kind, top, bottom)
+    except (OSError, RuntimeError):
+        raise ValueError("its pixels are cut short or damaged") from None
     return [np.frombuffer(row, np.float32).reshape(bottom - top + 1, data.width) for row in rows]
 
 
@@ -76,10 +83,35 @@ def _open(path: Path, parts: tuple[Part, ...], number: int) -> Any:
     import OpenEXR
 
     if number == 0:
-        return OpenEXR.InputFile(str(path))
+        with _without_complaints():
+            return OpenEXR.InputFile(str(path))
     # The open file can be read on when its name is gone; Windows keeps it, and the folder.
     with tempfile.TemporaryDirectory(prefix="slepian_prt-", ignore_cleanup_errors=True) as folder:
         alone = Path(folder) / "part.exr"
         with alone.open("wb") as target:
             extract_part(path, parts, number, target)
-        return OpenEXR.InputFile(str(alone))
+        try:
+            with _without_complaints():
+                return OpenEXR.InputFile(str(alone))
+        except Exception:  # its message names a file that is gone
+            raise ValueError(f"its part {number} is damaged") from None
+
+
+@contextmanager
+def _without_complaints() -> Iterator[None]:
+    """Nothing on standard error: OpenEXR's C++ code prints there, besides raising, what it finds damaged.
+
+    It holds the interpreter's lock meanwhile, so that nothing else that Python prints is lost.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:  # closed: nothing can be printed
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)

@@ -22,8 +22,8 @@ from slepian_prt.renderer.variants import bitmap_module
 
 log = logging.getLogger(__name__)
 
-# What Pillow reads exactly, to 8 bits; PNG of 16 bits and PPM are Mitsuba's.
-_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "BMP", "DIB", "TGA", "GIF")
+# What Pillow knows; it reads no more than 8 bits, so that PNG of 16 bits and PPM are Mitsuba's.
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "DIB", "TGA", "GIF", "PPM")
 
 # As they are, so that alpha changes no colour.
 _CHANNELS = {"1": "L", "L": "L", "LA": "L", "CMYK": "RGB", "YCbCr": "RGB", "P": "RGB", "PA": "RGB"}
@@ -43,18 +43,8 @@ def picture_rows(path: Path) -> Rows:
     - The gain map of an Ultra HDR picture is not applied, which is said.
     """
     with path.open("rb") as file:
-        start = file.read(8)
-    encoding = read_encoding(path) if start == MAGIC else None
-    if encoding is not None:
-        check_size(str(path), encoding.height, encoding.width)
-    deep = encoding is not None and encoding.depth == 16
-    if deep or start[:2] == b"P6":
-        texels = _decode_with_mitsuba(path)
-        if encoding is not None and encoding.profiled:
-            log.info("%s: its ICC profile is not applied to 16 bits; it is taken as sRGB", path)
-        orientation = _orientation(path) if deep else 1
-    else:
-        texels, orientation = _decode(path, encoding)
+        encoding = read_encoding(path) if file.read(len(MAGIC)) == MAGIC else None
+    texels, orientation = _decode(path, encoding)
     texels = upright(texels, orientation)
     height, width = texels.shape[:2]
     check_shape(str(path), height, width)
@@ -81,22 +71,26 @@ def upright(texels: NDArray, orientation: int) -> NDArray:
     return texels[:: -1 if down else 1, :: -1 if across else 1]
 
 
-def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[np.uint8], int]:
-    """(H, W, 1 or 3) numbers of 8 bits, and how they are turned."""
+def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[Any], int]:
+    """(H, W, 1 or 3) numbers of 8 or 16 bits, and how they are turned."""
     with _quiet(), _opened(path) as image:
         check_size(str(path), image.height, image.width)
+        orientation = _given_orientation(image)
+        profiled = encoding is None or encoding.profiled
+        if image.format == "PPM" or (encoding is not None and encoding.depth == 16):
+            if encoding is not None and profiled:
+                log.info("%s: its ICC profile is not applied to 16 bits; it is taken as sRGB", path)
+            return _decode_with_mitsuba(path), orientation
         if image.mode not in _CHANNELS:
             raise UserError(f"{path}: is a {image.format} of kind {image.mode}, which is not read; convert it to .exr")
         if image.format in ("JPEG", "MPO") and _has_gain_map(path):
             log.info("%s: its gain map is not applied; the light is that of its ordinary picture", path)
         image.load()
-        orientation = _given_orientation(image)
-        # A PNG says whether its profile counts.
-        profile = image.info.get("icc_profile") if encoding is None or encoding.profiled else None
         target = _CHANNELS[image.mode]
+        profile = image.info.get("icc_profile")
         if image.mode in ("P", "PA"):
             image = image.convert("RGBA")
-        if profile and image.mode != "1":
+        if profile and profiled and image.mode != "1":
             image = _without_profile(path, image, profile)
             target = "L" if image.mode in ("L", "LA") else "RGB"
         if image.mode in ("RGBA", "RGBX", "LA"):
@@ -134,15 +128,12 @@ def _decode_with_mitsuba(path: Path) -> NDArray[Any]:
     mi.set_log_level(mi.LogLevel.Error)  # libpng warns of what does not matter here
     try:
         texels = np.array(mi.Bitmap(str(path)))
+    except RuntimeError:
+        raise ValueError("its pixels are cut short or damaged") from None
     finally:
         mi.set_log_level(level)
     texels = texels.reshape(*texels.shape[:2], -1)
     return texels[..., :3] if texels.shape[2] >= 3 else texels[..., :1]
-
-
-def _orientation(path: Path) -> int:
-    with _quiet(), _opened(path) as image:
-        return _given_orientation(image)
 
 
 def _given_orientation(image: Any) -> int:
@@ -155,6 +146,11 @@ def _opened(path: Path) -> Any:
         return Image.open(path, formats=_FORMATS)
     except Image.UnidentifiedImageError:
         raise ValueError("it is of no kind that is known, or damaged") from None
+    except Image.DecompressionBombError:
+        most = 2 * Image.MAX_IMAGE_PIXELS
+        raise UserError(
+            f"{path}: has more than {most} texels, the most that is read of a picture; convert it to .exr"
+        ) from None
 
 
 def _has_gain_map(path: Path) -> bool:
