@@ -157,6 +157,8 @@ def array_rows(texels: ArrayLike, name: str, origin: str) -> Rows:
         Another shape, not twice as wide as high, or another type. Integers are refused: those of a decoded picture
         are encoded for a screen, 255 times radiance and not proportional to it.
     """
+    if np.ma.is_masked(texels):
+        raise UserError(f"{origin}: texels are masked; fill them, as with .filled(0)")
     image = np.asarray(texels)
     if image.ndim == 2:
         image = image[..., None]
