@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +23,7 @@ from slepian_prt.renderer.variants import bitmap_module
 
 log = logging.getLogger(__name__)
 
-# What Pillow knows; it reads no more than 8 bits, so that PNG of 16 bits and PPM are Mitsuba's.
+# What Pillow knows; it reads no more than 8 bits, so that PNG of 16 bits are Mitsuba's.
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "DIB", "TGA", "GIF", "PPM")
 
 # As they are, so that alpha changes no colour.
@@ -77,12 +78,14 @@ def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[Any], int
         check_size(str(path), image.height, image.width)
         orientation = _given_orientation(image)
         profiled = encoding is None or encoding.profiled
-        if image.format == "PPM" or (encoding is not None and encoding.depth == 16):
-            if encoding is not None and profiled:
+        if encoding is not None and encoding.depth == 16:
+            if profiled:
                 log.info("%s: its ICC profile is not applied to 16 bits; it is taken as sRGB", path)
             return _decode_with_mitsuba(path), orientation
-        if image.mode not in _CHANNELS:
-            raise UserError(f"{path}: is a {image.format} of kind {image.mode}, which is not read; convert it to .exr")
+        if image.mode not in _CHANNELS or (image.format == "PPM" and _is_deep_ppm(path)):
+            raise UserError(
+                f"{path}: is a {image.format} of a kind ({image.mode}) or depth that is not read; convert it to .exr"
+            )
         if image.format in ("JPEG", "MPO") and _has_gain_map(path):
             log.info("%s: its gain map is not applied; the light is that of its ordinary picture", path)
         image.load()
@@ -119,6 +122,13 @@ def _without_profile(path: Path, image: Any, profile: bytes) -> Any:
         return image
     log.info("%s: converted from its ICC profile, %s, to sRGB", path, name or "without a name")
     return converted
+
+
+def _is_deep_ppm(path: Path) -> bool:
+    """Whether a .ppm has more than 8 bits, which Pillow drops, and Mitsuba 3.9 reads in the wrong order."""
+    with path.open("rb") as file:
+        words = re.sub(rb"#[^\n]*", b"", file.read(1024)).split()
+    return len(words) > 3 and words[3].isdigit() and int(words[3]) > 255
 
 
 def _decode_with_mitsuba(path: Path) -> NDArray[Any]:
