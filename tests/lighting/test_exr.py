@@ -183,6 +183,7 @@ CHOICES = {
     "luminance": ([part("", "Y", "A")], (0, "Y")),
     "luminance of a layer": ([part("", "sky.Y", "Z")], (0, "sky.Y")),
     "colours before luminance": ([part("", "Y", "Z", *rgb("Combined."))], (0, "Combined.R")),
+    "colours of a layer before luminance": ([part("", "Y", "A", *rgb("Combined."))], (0, "Combined.R")),
     "colours before a position": ([part("", *"XYZ", *rgb("diffuse."))], (0, "diffuse.R")),
     "colours before numbers": ([part("ids", *rgb(), kind="uint"), part("m", *rgb("m."))], (1, "m.R")),
     "flat before deep": ([part("deep", *rgb(), deep=True), part("flat", *rgb())], (1, "R")),
@@ -193,6 +194,7 @@ REFUSED = {
     "two parts": ([part("a", *rgb()), part("b", *rgb())], "part 0 'a', part 1 'b'"),
     "two pictures": ([part("beauty", *rgb()), part("rgba", *rgb())], "keep the one that is, or name it beauty"),
     "parts of light": ([part("", *rgb("diffuse."), *rgb("specular."))], "names do not tell"),
+    "parts of light by other names": ([part("", *rgb("albedo."), *rgb("diffuseColor."))], "names do not tell"),
     "two eyes and two layers": (
         [part("", *rgb("left.sky."), *rgb("right.sky."), *rgb("left.hill."), *rgb("right.hill."))],
         "names do not tell",

@@ -48,7 +48,6 @@ def picture_rows(path: Path) -> Rows:
     texels, orientation = _decode(path, encoding)
     texels = upright(texels, orientation)
     height, width = texels.shape[:2]
-    check_shape(str(path), height, width)
     numbers = np.arange(np.iinfo(texels.dtype).max + 1) / np.iinfo(texels.dtype).max
     table = (decode_srgb if encoding is None else encoding.decode)(numbers).astype(np.float32)
     primaries = None if encoding is None else encoding.chromaticities
@@ -77,6 +76,7 @@ def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[Any], int
     with _quiet(), _opened(path) as image:
         check_size(str(path), image.height, image.width)
         orientation = _given_orientation(image)
+        check_shape(str(path), *((image.width, image.height) if orientation >= 5 else (image.height, image.width)))
         profiled = encoding is None or encoding.profiled
         if encoding is not None and encoding.depth == 16:
             if profiled:
@@ -96,8 +96,6 @@ def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[Any], int
         if profile and profiled and image.mode != "1":
             image = _without_profile(path, image, profile)
             target = "L" if image.mode in ("L", "LA") else "RGB"
-        if image.mode in ("RGBA", "RGBX", "LA"):
-            return np.asarray(image)[..., : len(target)], orientation
         texels = np.asarray(image.convert(target))
         return texels.reshape(*texels.shape[:2], -1), orientation
 
