@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.map_files import Checked, Rows, array_rows, file_rows
+from slepian_prt.lighting.map_files import file_rows
+from slepian_prt.lighting.map_rows import Checked, Rows, array_rows
 from slepian_prt.lighting.texel_projection import resample
 from slepian_prt.summary import Summarised
 
@@ -60,15 +61,22 @@ def about_up(degrees: float) -> NDArray[np.float64]:
 
 
 def read_environment(path: str | Path, *, clamp_negative: bool = False) -> Environment:
-    """Read a latitude-longitude map: .exr (any compression, half or float), .hdr, .png or .jpg (taken as sRGB).
+    """Read a latitude-longitude map, of the kind that the file's content tells, whatever its name.
 
-    Small negative texels, which encoders leave, are set to zero and counted.
+    - .exr: any compression, scanlines or tiles, of one part or several; the map is the display window. Where it holds
+      several images, `choose_layer` says which is the light.
+    - .hdr: the radiance that the picture was made from, with its exposure and colour correction divided out.
+    - .pfm: as it is, times its scale.
+    - .png, .jpg, .webp, .bmp, .tga, .gif, .ppm: decoded from sRGB, or from what the file says of its encoding, and
+      turned upright.
+
+    Small negative texels, which encoders leave, are set to zero and counted: `Checked` has the rule.
 
     Raises
     ------
     UserError
-        Missing or unreadable file, a shape other than 2:1, NaN or infinite texels, or (unless ``clamp_negative``)
-        negative texels that matter.
+        Missing or unreadable file, a shape other than 2:1, NaN, infinite or absurdly bright texels, or (unless
+        ``clamp_negative``) negative texels that matter.
     """
     return checked_environment(file_rows(path), clamp_negative)
 
@@ -83,7 +91,16 @@ def check_names(paths: Sequence[str | Path]) -> None:
 def make_environment(
     texels: ArrayLike, *, name: str = "environment", origin: str = "environment", clamp_negative: bool = False
 ) -> Environment:
-    """Check an array (H, W) or (H, W, 3), W = 2H, of radiance and wrap it; see `read_environment`."""
+    """Check an array (H, W) or (H, W, 3), W = 2H, of linear radiance and wrap it; see `read_environment`.
+
+    Floating point of any precision and byte order is taken as it is. Integers are refused: a picture that was decoded
+    to 0 … 255 is encoded for a screen, and has to be made linear first.
+
+    Raises
+    ------
+    UserError
+        As `read_environment`, or texels of another type or shape.
+    """
     return checked_environment(array_rows(texels, name, origin), clamp_negative)
 
 
