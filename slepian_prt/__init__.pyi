@@ -13,7 +13,7 @@ from .relighting.mitsuba.integrator import register as register
 from .relighting.relight import relight as relight
 from .scene.mesh import Mesh as Mesh
 from .scene.mesh import make_mesh as make_mesh
-from .scene.mesh import read_mesh as read_mesh
+from .scene.mesh_files import read_mesh as read_mesh
 from .slepian.concentration import CapBasis as CapBasis
 from .slepian.concentration import cap_basis as cap_basis
 from .slepian.kernels import SecondMoment as SecondMoment

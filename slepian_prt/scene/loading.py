@@ -17,7 +17,8 @@ from slepian_prt.lighting.emitters import emitted_environment
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene import materials
-from slepian_prt.scene.mesh import Mesh, read_mesh
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.recentering import coarse_receivers, far_center, load_about
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.shapes import ReceivingShape, fewest_cuts, mitsuba_mesh, receiving_shape
@@ -58,9 +59,10 @@ def open_scene(
         raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
     mesh, source = (path, path.name) if isinstance(path, Mesh) else (read_mesh(path), str(path))
     if albedo is not None:
-        mesh = replace(mesh, albedo=_constant_albedo(albedo, len(mesh.positions)))
+        constant = _constant_albedo(albedo, len(mesh.positions))
+        mesh = replace(mesh, albedo=constant, known_albedo=True, not_simulated=())
     with mitsuba() as mi:
-        yield _told_of_steps(_from_mesh(mi, mesh, source, albedo is not None))
+        yield _told_of_steps(_from_mesh(mi, mesh, source))
 
 
 def _told_of_steps(scene: Scene) -> Scene:
@@ -84,7 +86,7 @@ def _constant_albedo(albedo: ArrayLike, count: int) -> Any:
     return np.broadcast_to(values.astype(np.float32), (count, 3)).copy()
 
 
-def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
+def _from_mesh(mi: Any, mesh: Mesh, source: str) -> Scene:
     used = mesh.positions[mesh.receivers.active]
     # float32 is finest about zero: there stands what most of the vertices belong to, however far a part of it is.
     origin = np.median(used, axis=0)
@@ -101,11 +103,12 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str, has_materials: bool) -> Scene:
         shapes=(mitsuba_mesh(mi, replace(mesh, positions=traced)),),
         faces=mesh.faces,
         first_faces=(0,),
-        two_sided=(has_materials,),
-        has_materials=has_materials or bool(np.any(mesh.albedo != 1.0)),
+        two_sided=(mesh.known_albedo,),
+        has_materials=mesh.known_albedo,
         view=None,
         sensor=None,
         environment=None,
+        not_simulated=mesh.not_simulated,
     )
 
 

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.mesh import make_mesh, read_mesh
+from slepian_prt.scene.mesh import make_mesh
+from slepian_prt.scene.mesh_files import read_mesh
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 

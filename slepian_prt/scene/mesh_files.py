@@ -1,0 +1,114 @@
+"""Mesh files of all formats: read, joined to one mesh, completed with normals and albedo."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.scene.albedo import Textures, effects_left_out, vertex_albedo
+from slepian_prt.scene.formats.gltf import read_gltf
+from slepian_prt.scene.formats.obj import read_obj
+from slepian_prt.scene.formats.off import read_off
+from slepian_prt.scene.formats.parts import MeshFile, MeshPart
+from slepian_prt.scene.formats.ply import read_ply
+from slepian_prt.scene.formats.stl import read_stl
+from slepian_prt.scene.mesh import Mesh, MeshDetails, complete_mesh
+from slepian_prt.scene.normals import split_at_creases
+
+log = logging.getLogger(__name__)
+
+_READERS: dict[str, Callable[[Path], MeshFile]] = {
+    ".ply": read_ply,
+    ".obj": read_obj,
+    ".stl": read_stl,
+    ".off": read_off,
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+}
+MESH_SUFFIXES = tuple(_READERS)
+
+# Formats whose vertices at one place are one, so that computed normals go on across parts of different material. In the
+# others a vertex that is there twice marks a hard edge.
+_JOINED_BY_PLACE = (".obj", ".stl")
+
+
+def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
+    """Read a ply, obj, stl, off, glb or gltf file; all parts of it become one mesh.
+
+    The albedo is what its materials, textures and vertex colours reflect diffusely; 1 if the file says nothing of any.
+
+    Parameters
+    ----------
+    path : path
+    crease_angle : float
+        In degrees, in [0, 180]: edges sharper than this are hard where the file gives no normals. By default none is.
+
+    Raises
+    ------
+    UserError
+        The file is missing, not a mesh, needs what cannot be read here, or holds nothing that can be lit: no face,
+        coordinates that are not finite, faces that name vertices which do not exist.
+    """
+    path = Path(path)
+    if not 0.0 <= crease_angle <= 180.0:
+        raise UserError(f"crease_angle must be a number of degrees in [0, 180], not {crease_angle!r}")
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a mesh file ({', '.join(MESH_SUFFIXES)}) or a Mitsuba .xml")
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; check the path")
+    if path.stat().st_size == 0:
+        raise UserError(f"{path}: the file is empty; export the mesh again")
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        raise UserError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(MESH_SUFFIXES)}")
+    file = _READERS[suffix](path)
+    for note in file.notes:
+        log.info("%s: %s", path, note)
+    return _join(file, path, crease_angle, suffix in _JOINED_BY_PLACE)
+
+
+def _join(file: MeshFile, path: Path, crease_angle: float, by_place: bool) -> Mesh:
+    parts = file.parts
+    for part in parts:
+        _check_faces(part, path)
+    known = any(part.material is not None or part.colors is not None for part in parts)
+    albedo: NDArray[np.float32] | float = 1.0
+    left_out: tuple[str, ...] = ()
+    if known:
+        textures: Textures = {}
+        values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
+        albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic)
+    counts = [len(part.positions) for part in parts]
+    starts = np.cumsum([0, *counts[:-1]])
+    empty = np.zeros((0, 3))
+    positions = np.concatenate([empty, *(part.positions for part in parts)])
+    faces = np.concatenate([empty.astype(np.int64), *(p.faces + start for p, start in zip(parts, starts, strict=True))])
+    normals = None
+    if any(part.normals is not None for part in parts):
+        missing = (np.full((n, 3), np.nan) for n in counts)
+        normals = np.concatenate([m if p.normals is None else p.normals for p, m in zip(parts, missing, strict=True)])
+    groups = None
+    if by_place and len(parts) > 1:
+        groups = np.unique(positions, axis=0, return_inverse=True)[1].ravel()
+    if crease_angle < 180.0 and normals is None and len(faces) and np.all(np.isfinite(positions)):
+        places = np.unique(positions, axis=0, return_inverse=True)[1].ravel()
+        vertices, faces = split_at_creases(positions, faces, places, crease_angle)
+        positions, groups = positions[vertices], None
+        albedo = albedo[vertices] if isinstance(albedo, np.ndarray) else albedo
+    return complete_mesh(positions, faces, normals, albedo, MeshDetails(path.stem, str(path), groups, known, left_out))
+
+
+def _check_faces(part: MeshPart, path: Path) -> None:
+    """Raise UserError for faces that name vertices which do not exist, before anything is looked up by them."""
+    count = len(part.positions)
+    if len(part.faces) and (part.faces.min() < 0 or part.faces.max() >= count):
+        wrong = np.flatnonzero((part.faces < 0).any(axis=1) | (part.faces >= count).any(axis=1))
+        raise UserError(
+            f"{path}: {wrong.size} faces name vertices that do not exist (face {wrong[0]} has "
+            f"{part.faces[wrong[0]].tolist()}, the mesh has {count} vertices); export the mesh again"
+        )
