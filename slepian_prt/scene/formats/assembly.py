@@ -66,15 +66,15 @@ def assemble(
     UserError
         A polygon names a vertex that does not exist.
     """
-    _check_corners(path, polygons, len(vertices.positions))
+    check_corners(path, polygons, len(vertices.positions))
     triangles, owners = triangulate(vertices.positions, polygons.sizes, polygons.corners)
     notes = list(notes)
-    lost = len(polygons.sizes) - len(np.unique(owners))
+    lost = len(polygons.sizes) - np.count_nonzero(np.diff(owners, prepend=-1))
     if lost:
         notes.append(f"{lost} faces of fewer than three different corners left out")
     faces = polygons.corners[triangles]
     uv = None if polygons.uv is None else polygons.uv[triangles]
-    numbers = np.full(len(faces), -1) if polygons.materials is None else polygons.materials[owners]
+    numbers = np.array([-1]) if polygons.materials is None else polygons.materials[owners]
     used = np.unique(numbers)
     if len(used) <= 1:
         material = materials[used[0]] if len(used) and used[0] >= 0 else None
@@ -95,7 +95,8 @@ def assemble(
     return MeshFile(tuple(parts), tuple(notes))
 
 
-def _check_corners(path: Path, polygons: Polygons, count: int) -> None:
+def check_corners(path: Path, polygons: Polygons, count: int) -> None:
+    """Raise UserError if polygons name vertices outside of [0, count)."""
     bad = np.flatnonzero((polygons.corners < 0) | (polygons.corners >= count))
     if bad.size:
         face = int(np.searchsorted(np.cumsum(polygons.sizes), bad[0], side="right"))

@@ -39,10 +39,10 @@ def join_equal(*columns: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArra
 
 
 def _group(keys: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    order = np.argsort(keys, kind="stable")
+    order = np.argsort(keys)
     ordered = keys[order]
     begins = np.concatenate([np.ones(min(len(keys), 1), dtype=bool), ordered[1:] != ordered[:-1]])
-    first = order[begins]
+    first = np.minimum.reduceat(order, np.flatnonzero(begins)) if len(keys) else order
     rank = np.empty(len(first), dtype=np.int64)
     sequence = np.argsort(first)
     rank[sequence] = np.arange(len(first))
@@ -77,14 +77,16 @@ def join_near(
     graph = coo_array((np.ones(len(pairs), dtype=bool), pairs.T), shape=(count, count))
     label = connected_components(graph, directed=False)[1].astype(np.int64)
     low, high = np.full((label.max() + 1, 3), np.inf), np.full((label.max() + 1, 3), -np.inf)
-    near = np.unique(pairs)
+    near = np.zeros(count, dtype=bool)
+    near[pairs] = True
     np.minimum.at(low, label[near], positions[near])
     np.maximum.at(high, label[near], positions[near])
     doubtful = np.linalg.norm(high - low, axis=1) > tolerance
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     sides = sides[(label[sides[:, 0]] == label[sides[:, 1]]) & (sides[:, 0] != sides[:, 1])]
     doubtful[label[sides]] = True
-    representative = _group(label)[0][_group(label)[1]]
+    first, joined = _group(label)
+    representative = first[joined]
     unsure = doubtful[label]
     representative[unsure] = np.flatnonzero(unsure)
     _join_greedily(representative, pairs[unsure[pairs[:, 0]]], {(int(a), int(b)) for a, b in sides})
