@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.formats.joining import join_equal
 from slepian_prt.scene.formats.normals import smooth_normals
 from slepian_prt.scene.formats.parts import Material, MeshFile, MeshPart
 from slepian_prt.scene.formats.polygons import triangulate
@@ -24,11 +25,14 @@ class Vertices:
     positions : (V, 3) float64
     normals : (V, 3) float64 or None
     colors : (V, 3) float32 or None
+    points : (V,) int64 or None
+        Vertices of one number are one point of the surface and share a computed normal. None: each is its own.
     """
 
     positions: NDArray[np.float64]
     normals: NDArray[np.float64] | None = None
     colors: NDArray[np.float32] | None = None
+    points: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,7 @@ def assemble(
     """Triangulate polygons and make a part of each material.
 
     A single part has all vertices in their order. Several have those that they use; where the file gives no normals,
-    they have those of the whole surface, which goes on from one material to the next.
+    they have those of the whole surface, which goes on from one material to the next (and across ``points``).
 
     Raises
     ------
@@ -76,10 +80,11 @@ def assemble(
     uv = None if polygons.uv is None else polygons.uv[triangles]
     numbers = np.array([-1]) if polygons.materials is None else polygons.materials[owners]
     used = np.unique(numbers)
+    if len(used) > 1 or vertices.points is not None:
+        vertices = _with_all_normals(vertices, faces)
     if len(used) <= 1:
         material = materials[used[0]] if len(used) and used[0] >= 0 else None
         return MeshFile((_part(path.stem, vertices, faces, uv, material),), tuple(notes))
-    vertices = _with_all_normals(vertices, faces)
     parts = []
     for number in used:
         chosen = numbers == number
@@ -106,12 +111,35 @@ def check_corners(path: Path, polygons: Polygons, count: int) -> None:
         )
 
 
+def join_split(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
+    """Join vertices without normals where position and colour are equal; those of equal position are one point.
+
+    Returns
+    -------
+    vertices : Vertices
+    joined : (V,) int64
+        The number of each vertex among them.
+    """
+    first, joined = join_equal(vertices.positions)
+    if vertices.colors is None:
+        return Vertices(vertices.positions[first]), joined
+    points = joined
+    first, joined = join_equal(vertices.positions, vertices.colors)
+    points = points[first] if len(first) > points.max(initial=-1) + 1 else None
+    return Vertices(vertices.positions[first], None, vertices.colors[first], points), joined
+
+
 def _with_all_normals(vertices: Vertices, faces: NDArray[np.int64]) -> Vertices:
-    computed = smooth_normals(vertices.positions, faces)
+    positions, points = vertices.positions, vertices.points
+    if points is None:
+        computed = smooth_normals(positions, faces)
+    else:
+        first = np.unique(points, return_index=True)[1]
+        computed = smooth_normals(positions[first], points[faces])[points]
     if vertices.normals is not None:
         given = np.abs(vertices.normals).sum(axis=1) > 0  # NaN compares as false
         computed = np.where(given[:, None], vertices.normals, computed)
-    return Vertices(vertices.positions, computed, vertices.colors)
+    return replace(vertices, normals=computed)
 
 
 def _part(

@@ -1,4 +1,4 @@
-"""Files that mesh files name."""
+"""Files that mesh files name, and names in any encoding."""
 
 from __future__ import annotations
 
@@ -21,3 +21,11 @@ def find_beside(path: Path, name: str) -> Path:
     except (OSError, ValueError):  # a name that no file can have
         return wanted
     return found[0] if found else wanted
+
+
+def decode(raw: bytes) -> str:
+    """UTF-8, or Latin-1 where it is none."""
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")

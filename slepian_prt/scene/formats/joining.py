@@ -32,13 +32,14 @@ def join_equal(*columns: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArra
     for column in bits.T:
         keys = (keys ^ column) * np.uint64(0x9E3779B97F4A7C15)
         keys ^= keys >> np.uint64(29)
-    first, joined = _group(keys)
+    first, joined = group(keys)
     if not np.all(bits[first[joined]] == bits):  # two rows of one hash: one in 10^8 meshes of a million vertices
-        first, joined = _group(np.unique(bits, axis=0, return_inverse=True)[1].ravel())
+        first, joined = group(np.unique(bits, axis=0, return_inverse=True)[1].ravel())
     return first, joined
 
 
-def _group(keys: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def group(keys: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where each distinct key (N,) comes first, and the number of each key among those, as in `join_equal`."""
     order = np.argsort(keys)
     ordered = keys[order]
     begins = np.concatenate([np.ones(min(len(keys), 1), dtype=bool), ordered[1:] != ordered[:-1]])
@@ -85,12 +86,12 @@ def join_near(
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     sides = sides[(label[sides[:, 0]] == label[sides[:, 1]]) & (sides[:, 0] != sides[:, 1])]
     doubtful[label[sides]] = True
-    first, joined = _group(label)
+    first, joined = group(label)
     representative = first[joined]
     unsure = doubtful[label]
     representative[unsure] = np.flatnonzero(unsure)
     _join_greedily(representative, pairs[unsure[pairs[:, 0]]], {(int(a), int(b)) for a, b in sides})
-    return _group(representative)
+    return group(representative)
 
 
 def _join_greedily(representative: NDArray[np.int64], pairs: NDArray[np.int64], sides: set[tuple[int, int]]) -> None:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble, check_corners
+from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble, check_corners, join_split
 from slepian_prt.scene.formats.colors import decode_srgb
 from slepian_prt.scene.formats.files import find_beside
-from slepian_prt.scene.formats.joining import join_equal
 from slepian_prt.scene.formats.parts import Material, MeshFile, Texture
 from slepian_prt.scene.formats.ply_tables import Header, Lists, Table, read_tables
 
@@ -150,9 +149,5 @@ def _unroll_strips(strips: Lists) -> NDArray[np.int64]:
 
 
 def _join_seams(vertices: Vertices, polygons: Polygons) -> tuple[Vertices, Polygons]:
-    same = [vertices.positions] if vertices.colors is None else [vertices.positions, vertices.colors]
-    first, joined = join_equal(*same)
-    positions = vertices.positions[first]
-    colors = None if vertices.colors is None else vertices.colors[first]
-    corners = joined[polygons.corners]
-    return Vertices(positions, None, colors), Polygons(polygons.sizes, corners, polygons.uv, polygons.materials)
+    joined, of = join_split(vertices)
+    return joined, replace(polygons, corners=of[polygons.corners])

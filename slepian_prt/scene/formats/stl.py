@@ -53,7 +53,9 @@ def read_stl(path: Path) -> MeshFile:
     elif re.match(rb"(\xef\xbb\xbf)?\s*solid\b", raw, re.IGNORECASE) and b"\0" not in raw:
         corners = _read_text(path, raw)
     elif count < 0:
-        raise UserError(f"{path}: holds no mesh: neither a binary STL file nor text that begins with 'solid'; export it again")
+        raise UserError(
+            f"{path}: holds no mesh: neither a binary STL file nor text that begins with 'solid'; export it again"
+        )
     else:
         raise UserError(
             f"{path}: its header counts {count} triangles, which take {84 + 50 * count} bytes, and the file has "
@@ -100,6 +102,7 @@ def _read_freely(path: Path, lines: Lines) -> NDArray[np.float64]:
     *facets, rest = text.split(b"endfacet")
     numbers, at = [], 0
     for facet in [*facets, rest] if rest.strip() else facets:
+
         def refuse(what: str, offset: int) -> UserError:
             line = lines.text.count(b"\n", 0, at + offset) + 1
             return UserError(f"{path}: line {line}: {what}; export it again")
