@@ -123,9 +123,9 @@ def join_split(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
     first, joined = join_equal(vertices.positions)
     if vertices.colors is None:
         return Vertices(vertices.positions[first]), joined
-    points = joined
+    places, point = first, joined
     first, joined = join_equal(vertices.positions, vertices.colors)
-    points = points[first] if len(first) > points.max(initial=-1) + 1 else None
+    points = point[first] if len(first) > len(places) else None
     return Vertices(vertices.positions[first], None, vertices.colors[first], points), joined
 
 

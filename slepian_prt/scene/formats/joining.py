@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 
-def join_equal(*columns: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def join_equal(*columns: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find rows that are equal bit for bit, 0 and -0 taken as equal.
 
     `np.unique` with an axis does the same; sorting one hash of 64 bits is five times as fast.

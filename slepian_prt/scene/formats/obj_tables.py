@@ -63,10 +63,10 @@ class _Source:
         return UserError(f"{self.path}: line {number}: {what}; export it again")
 
     def parse(
-        self, chosen: NDArray[np.bool_], edit: Callable[[bytes], bytes], dtype: DTypeLike = np.float64
+        self, chosen: NDArray[np.bool_], edit: Callable[[bytes], bytes], count: int, dtype: DTypeLike = np.float64
     ) -> NDArray[Any]:
-        """All numbers in some lines, of which an edit leaves only numbers."""
-        numbers = parse_numbers(edit(self.lines.select(chosen)), dtype)
+        """The numbers in some lines, of which an edit leaves only those."""
+        numbers = parse_numbers(edit(self.lines.select(chosen)), count, dtype)
         if numbers is None:
             for line in np.flatnonzero(chosen).tolist():
                 bad = find_bad_number(edit(self.lines.read(line)), dtype)
@@ -134,7 +134,7 @@ def _read_columns(
     if len(words) and words.min() < least:
         line = int(np.flatnonzero(chosen)[np.argmax(words < least)])
         raise source.refuse(line, f"'{decode(source.lines.read(line))[:40]}' has fewer than {least} numbers")
-    numbers = source.parse(chosen, lambda text: text.replace(keyword, b" " * len(keyword)))
+    numbers = source.parse(chosen, lambda text: text.replace(keyword, b" " * len(keyword)), int(words.sum()))
     width = int(words.max(initial=least))
     if np.all(words == width):
         return numbers.reshape(-1, width), words
@@ -152,8 +152,8 @@ def _read_positions(
     if not colored.any():
         return positions, None
     display = np.where(colored[:, None], table[:, 3:6], 1.0)
-    bytewise = colored & (words >= 6) & bool(display.max() > 1)
-    display[bytewise] /= 255
+    if display.max() > 1:
+        display[colored] /= 255
     return positions, decode_srgb(display)
 
 
@@ -162,20 +162,20 @@ def _read_corners(source: _Source, chosen: NDArray[np.bool_]) -> tuple[NDArray[n
     sizes = source.lines.words[chosen] - 1
     text = source.lines.select(chosen)
     if b"/" not in text:
-        only = source.parse(chosen, lambda text: text.replace(b"f", b" "), np.int64)
+        only = source.parse(chosen, lambda text: text.replace(b"f", b" "), int(sizes.sum()), np.int64)
         return sizes, np.stack([only, np.zeros_like(only), np.zeros_like(only)], axis=1)
     data = np.frombuffer(text, dtype=np.uint8)
     begun = data > 32
     begun[1:] &= data[:-1] <= 32
     begun &= data != ord("f")
-    slashes = np.add.reduceat(data == ord("/"), np.flatnonzero(begun), dtype=np.int64)
-    wrong = np.flatnonzero(slashes > 2)
-    numbers = source.parse(chosen, _fill_in, np.int64) if not wrong.size else np.empty(0)
-    if len(numbers) != len(slashes) + slashes.sum():
-        for line in np.flatnonzero(chosen).tolist():
-            for word in source.lines.read(line).split()[1:]:
-                if word.startswith(b"/") or word.count(b"/") > 2:
-                    raise source.refuse(line, f"'{decode(word)[:40]}' is no corner of a face")
+    marks = np.flatnonzero(data == ord("/"))
+    slashes = np.diff(np.searchsorted(marks, np.flatnonzero(begun)), append=len(marks))
+    wrong = np.flatnonzero((slashes > 2) | (data[begun] == ord("/")))
+    if wrong.size:
+        line = int(np.flatnonzero(chosen)[np.searchsorted(np.cumsum(sizes), wrong[0], side="right")])
+        word = text[np.flatnonzero(begun)[wrong[0]] :].split(maxsplit=1)[0]
+        raise source.refuse(line, f"'{decode(word)[:40]}' is no corner of a face")
+    numbers = source.parse(chosen, _fill_in, len(slashes) + int(slashes.sum()), np.int64)
     if np.all(slashes == slashes[0]):
         corners = numbers.reshape(len(slashes), -1)
         return sizes, np.pad(corners, [(0, 0), (0, 3 - corners.shape[1])])

@@ -79,7 +79,7 @@ def _read_numbers(path: Path, lines: Lines, rows: NDArray[np.int64]) -> NDArray[
     """All numbers in some lines."""
     chosen = np.zeros(len(lines.words), dtype=bool)
     chosen[rows] = True
-    numbers = parse_numbers(lines.select(chosen))
+    numbers = parse_numbers(lines.select(chosen), int(lines.words[rows].sum()))
     if numbers is None:
         for row in rows.tolist():
             bad = find_bad_number(lines.read(row))

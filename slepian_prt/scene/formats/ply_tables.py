@@ -162,14 +162,14 @@ def _as_stored(element: Element, order: str) -> Element:
 def _read_text(path: Path, raw: bytes, header: Header) -> NDArray[np.uint8]:
     """The bytes of the numbers as float64."""
     text = raw[header.size :]
-    numbers = parse_numbers(text)
+    lines = split_lines(text)
+    numbers = parse_numbers(lines.text, int(lines.words.sum()))
     first = raw[: header.size].replace(b"\r\n", b"\n").replace(b"\r", b"\n").count(b"\n")
     if numbers is None:
-        bad = find_bad_number(text)
+        bad = find_bad_number(lines.text)
         word = bad[0].decode("latin-1")[:40] if bad else "?"
-        line = first + 1 + (split_lines(text[: bad.start()] + b"x").text.count(b"\n") - 1 if bad else 0)
+        line = first + 1 + lines.text.count(b"\n", 0, bad.start() if bad else 0)
         raise UserError(f"{path}: line {line}: '{word}' is not a number; export it again")
-    lines = split_lines(text)
     filled = np.flatnonzero(lines.words > 0)
     at = 0
     for element in header.elements:
@@ -258,9 +258,9 @@ def _walk(
         if p.count is None:
             skip += size
             continue
-        count = np.dtype(p.count)
-        read = struct.Struct(count.str[0].replace("|", "<") + _CODES[count.str[1:]]).unpack_from
-        plan.append((skip, read, count.itemsize, size))
+        kind = np.dtype(p.count)
+        read = struct.Struct(kind.str[0].replace("|", "<") + _CODES[kind.str[1:]]).unpack_from
+        plan.append((skip, read, kind.itemsize, size))
         skip = 0
     found: list[list[int]] = [[] for _ in plan]
     many: list[list[int]] = [[] for _ in plan]

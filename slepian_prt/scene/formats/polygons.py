@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
@@ -173,7 +175,7 @@ def _with_corners(flat: NDArray[np.float64], triangles: NDArray[np.int64], missi
             if turn is None:
                 continue
             apex = triangle[turn - 1]
-            around = [(a, b, apex) for a, b in zip(chain[:-1], chain[1:], strict=True)]
+            around = [(a, b, apex) for a, b in pairwise(chain)]
             if np.all(_areas(flat, np.array(around)) >= -_STRAIGHT):
                 cut[number : number + 1] = around
             break

@@ -83,14 +83,17 @@ def _read_text(path: Path, raw: bytes) -> NDArray[np.float64]:
     last = np.flatnonzero(lines.words > 0)[-1]
     if not re.match(rb"end ?solid\b", lines.read(last)):
         raise UserError(f"{path}: the file does not end with 'endsolid' (is it cut off?); export it again")
-    ends = np.all(named[:3].T == list(b"end"), axis=1) & ((named[3] == ord("s")) | (named[3] == ord(" ")))
+    ends = np.all(named[:3] == np.frombuffer(b"end", dtype=np.uint8)[:, None], axis=0) & (
+        (named[3] == ord("s")) | (named[3] == ord(" "))
+    )
     rest = (lines.words > 0) & ~ends & (named[0] != ord("s"))
     letters, words = named[0][rest], lines.words[rest]
     facets = len(letters) // len(_LETTERS)
     regular = np.array_equal(letters, np.tile(_LETTERS, facets)) and np.array_equal(words, np.tile(_WORDS, facets))
     numbers = None
     if regular:
-        numbers = parse_numbers(lines.select(rest & (named[0] == ord("v"))).replace(b"vertex", b" "))
+        corners = lines.select(rest & (named[0] == ord("v"))).replace(b"vertex", b" ")
+        numbers = parse_numbers(corners, 9 * facets)
     if numbers is None:
         numbers = _read_freely(path, lines)
     return numbers.reshape(-1, 3)
@@ -102,20 +105,22 @@ def _read_freely(path: Path, lines: Lines) -> NDArray[np.float64]:
     *facets, rest = text.split(b"endfacet")
     numbers, at = [], 0
     for facet in [*facets, rest] if rest.strip() else facets:
-
-        def refuse(what: str, offset: int) -> UserError:
-            line = lines.text.count(b"\n", 0, at + offset) + 1
-            return UserError(f"{path}: line {line}: {what}; export it again")
-
         match = _FACET.fullmatch(facet)
         if not match:
-            raise refuse("the facet is cut off, or is no triangle", len(facet) - len(facet.lstrip()))
+            begin = at + len(facet) - len(facet.lstrip())
+            raise _refuse(path, lines, begin, "the facet is cut off, or is no triangle")
         corners = match[1].replace(b"vertex", b" " * 6)
-        values = parse_numbers(corners)
-        if values is None:
-            bad = find_bad_number(corners)
-            word = bad[0].decode("latin-1") if bad else "?"
-            raise refuse(f"'{word}' is not a number", match.start(1) + (bad.start() if bad else 0))
+        values = parse_numbers(corners, 9)
+        bad = find_bad_number(corners) if values is None else None
+        if values is None or bad:
+            word = bad[0].decode("latin-1")[:40] if bad else "a corner"
+            begin = at + match.start(1) + (bad.start() if bad else 0)
+            raise _refuse(path, lines, begin, f"'{word}' is not a number")
         numbers.append(values)
         at += len(facet) + len(b"endfacet")
     return np.concatenate([np.empty(0), *numbers])
+
+
+def _refuse(path: Path, lines: Lines, at: int, what: str) -> UserError:
+    line = lines.text.count(b"\n", 0, at) + 1
+    return UserError(f"{path}: line {line}: {what}; export it again")

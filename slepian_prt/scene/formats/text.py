@@ -62,29 +62,31 @@ def split_lines(raw: bytes) -> Lines:
     starts = np.concatenate([[0], ends[:-1]])
     begun = data > 32
     begun[1:] &= data[:-1] <= 32
-    words = np.add.reduceat(begun, starts, dtype=np.int64)
+    places = np.flatnonzero(begun)
+    first = np.searchsorted(places, starts)  # a tenth of the time of np.add.reduceat
+    words = np.diff(first, append=len(places))
     begins = ends.copy()
     filled = words > 0
-    begins[filled] = np.flatnonzero(begun)[(np.cumsum(words) - words)[filled]]
+    begins[filled] = places[first[filled]]
     return Lines(text, starts, ends, words, begins)
 
 
-def parse_numbers(text: bytes, dtype: DTypeLike = np.float64) -> NDArray[Any] | None:
-    """Numbers between white space, or None if anything else is there.
+def parse_numbers(text: bytes, count: int, dtype: DTypeLike = np.float64) -> NDArray[Any] | None:
+    """Numbers between white space, or None if anything else is there, or not so many.
 
     `np.fromstring` takes two thirds of the time of `np.array(text.split(), dtype)`, a fourth for integers.
     """
-    text = text.strip()
-    if not text:
-        return np.empty(0, dtype=dtype)
+    if not text.strip():
+        return np.empty(0, dtype=dtype) if count == 0 else None
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # until NumPy 2.3 what is no number is a warning
         try:
-            return np.fromstring(text, dtype=dtype, sep=" ")
+            numbers = np.fromstring(text, dtype=dtype, sep=" ")
         except (ValueError, DeprecationWarning):
             return None
+    return numbers if len(numbers) == count else None  # "1-2" and "1.2.3" are two numbers to it
 
 
 def find_bad_number(text: bytes, dtype: DTypeLike = np.float64) -> re.Match[bytes] | None:
     """The first word that `parse_numbers` does not read."""
-    return next((word for word in re.finditer(rb"\S+", text) if parse_numbers(word[0], dtype) is None), None)
+    return next((word for word in re.finditer(rb"\S+", text) if parse_numbers(word[0], 1, dtype) is None), None)
