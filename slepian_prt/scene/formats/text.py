@@ -39,10 +39,9 @@ class Lines:
 
     def select(self, chosen: NDArray[np.bool_]) -> bytes:
         """The text of some lines."""
-        if chosen.all():
-            return self.text
-        kept = np.repeat(chosen, self.ends - self.starts)
-        return np.frombuffer(self.text, dtype=np.uint8)[kept].tobytes()
+        turns = np.flatnonzero(np.diff(chosen.astype(np.int8), prepend=0, append=0))
+        begins, ends = self.starts[turns[0::2]].tolist(), self.ends[turns[1::2] - 1].tolist()
+        return b"".join([self.text[begin:end] for begin, end in zip(begins, ends, strict=True)])
 
     def characters(self, offset: int) -> NDArray[np.uint8]:
         """(N,) the characters so far behind the beginnings of the first words; line feeds beyond the end."""
