@@ -57,12 +57,12 @@ def triangulate(
 def _without_repeats(
     sizes: NDArray[np.int64], corners: NDArray[np.int64], numbers: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Numbers of the corners that differ from the one before them, and how many each polygon has of them."""
+    """Numbers of the corners that differ from the one after them, and how many each polygon has of them."""
     filled = sizes > 0
     starts = (np.cumsum(sizes) - sizes)[filled]
-    before = numbers - 1
-    before[starts] = starts + sizes[filled] - 1
-    kept = corners != corners[before]
+    after = numbers + 1
+    after[starts + sizes[filled] - 1] = starts
+    kept = corners != corners[after]
     if kept.all():
         return numbers, sizes
     counts = np.zeros_like(sizes)

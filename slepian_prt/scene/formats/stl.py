@@ -34,7 +34,7 @@ def read_stl(path: Path) -> MeshFile:
     """Read a binary or text STL file; all solids in it are one part.
 
     Corners of the same position become one vertex, also where they differ by rounding: by up to 10^-6 of the diagonal
-    of the mesh, or two steps of float32 at its largest coordinate. Normals are computed later: those of the file are
+    of the mesh, or four steps of float32 at its largest coordinate. Normals are computed later: those of the file are
     the faces', and its colours, which have two contradictory definitions, are left out.
 
     Raises
@@ -71,7 +71,7 @@ def _join(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     if not len(positions) or not np.all(np.isfinite(positions)):  # which is refused later
         return positions, faces
     step = float(np.spacing(np.abs(positions).max().astype(np.float32)))
-    tolerance = max(2 * step, _ROUNDING * float(np.linalg.norm(np.ptp(positions, axis=0))))
+    tolerance = max(4 * step, _ROUNDING * float(np.linalg.norm(np.ptp(positions, axis=0))))
     first, joined = join_near(positions, faces, tolerance)
     return positions[first], joined[faces]
 
