@@ -103,9 +103,8 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
             raise _truncated(path, element)
         table, at = _read_table(path, element, body, at)
         tables.setdefault(element.name, table)
-    rest = body[at:] if order == "=" else body[at:][(body[at:] > 32)]
-    if len(rest):
-        left = f"{len(rest) // 8} numbers" if order == "=" else f"{len(body) - at} bytes"
+    if at < len(body) and (order == "=" or body[at:].tobytes().strip(b"\0\t\n\r ")):  # some writers pad
+        left = f"{(len(body) - at) // 8} numbers" if order == "=" else f"{len(body) - at} bytes"
         raise UserError(f"{path}: has {left} more than its header declares; export it again")
     return header, tables
 
@@ -270,16 +269,16 @@ def _walk(
         for _ in range(element.count):
             for before, read, width, size, begin, length in steps:
                 value = read(raw, offset + before)[0]
-                count = int(value)
-                if count < 0 or count != value:
+                if not value >= 0 or value % 1:
                     raise UserError(f"{path}: a '{element.name}' has a list of {value} values; export it again")
+                count = int(value)
                 offset += before + width
                 begin(offset)
                 length(count)
                 offset += count * size
             offset += skip
-    except (struct.error, OverflowError, ValueError) as error:
-        raise error if isinstance(error, UserError) else _truncated(path, element) from None
+    except (struct.error, OverflowError):  # an offset beyond the end, or beyond all
+        raise _truncated(path, element) from None
     if offset > len(raw):
         raise _truncated(path, element)
     return (*_place(element, found, many, at), offset)
