@@ -63,17 +63,29 @@ class _Source:
         return UserError(f"{self.path}: line {number}: {what}; export it again")
 
     def parse(
-        self, chosen: NDArray[np.bool_], edit: Callable[[bytes], bytes], count: int, dtype: DTypeLike = np.float64
+        self,
+        chosen: NDArray[np.bool_],
+        keyword: bytes,
+        count: int,
+        dtype: DTypeLike = np.float64,
+        edit: Callable[[bytes], bytes] = bytes,
     ) -> NDArray[Any]:
-        """The numbers in some lines, of which an edit leaves only those."""
-        numbers = parse_numbers(edit(self.lines.select(chosen)), count, dtype)
+        """The numbers after the keyword of some lines, of which an edit leaves only those."""
+        text = self.lines.select(chosen).replace(keyword, b" " * len(keyword))
+        numbers = parse_numbers(edit(text), count, dtype)
         if numbers is None:
-            for line in np.flatnonzero(chosen).tolist():
-                bad = find_bad_number(edit(self.lines.read(line)), dtype)
-                if bad:
-                    raise self.refuse(line, f"'{decode(bad[0])[:40]}' is not a number of the kind that belongs there")
-            raise UserError(f"{self.path}: its numbers cannot be read; export it again")
+            raise self.refuse_numbers(chosen, keyword, dtype, edit)
         return numbers
+
+    def refuse_numbers(
+        self, chosen: NDArray[np.bool_], keyword: bytes, dtype: DTypeLike, edit: Callable[[bytes], bytes]
+    ) -> UserError:
+        """About the first word that is no number."""
+        for line in np.flatnonzero(chosen).tolist():
+            bad = find_bad_number(edit(self.lines.read(line)[len(keyword) :]), dtype)
+            if bad:
+                return self.refuse(line, f"'{decode(bad[0])[:40]}' is not a number of the kind that belongs there")
+        return UserError(f"{self.path}: its numbers cannot be read; export it again")
 
 
 def read_statements(path: Path) -> Statements:
@@ -134,7 +146,7 @@ def _read_columns(
     if len(words) and words.min() < least:
         line = int(np.flatnonzero(chosen)[np.argmax(words < least)])
         raise source.refuse(line, f"'{decode(source.lines.read(line))[:40]}' has fewer than {least} numbers")
-    numbers = source.parse(chosen, lambda text: text.replace(keyword, b" " * len(keyword)), int(words.sum()))
+    numbers = source.parse(chosen, keyword, int(words.sum()))
     width = int(words.max(initial=least))
     if np.all(words == width):
         return numbers.reshape(-1, width), words
@@ -162,8 +174,10 @@ def _read_corners(source: _Source, chosen: NDArray[np.bool_]) -> tuple[NDArray[n
     sizes = source.lines.words[chosen] - 1
     text = source.lines.select(chosen)
     if b"/" not in text:
-        only = source.parse(chosen, lambda text: text.replace(b"f", b" "), int(sizes.sum()), np.int64)
+        only = source.parse(chosen, b"f", int(sizes.sum()), np.int64)
         return sizes, np.stack([only, np.zeros_like(only), np.zeros_like(only)], axis=1)
+    if text.count(b"f") != len(sizes):
+        raise source.refuse_numbers(chosen, b"f", np.int64, _fill_in)
     data = np.frombuffer(text, dtype=np.uint8)
     begun = data > 32
     begun[1:] &= data[:-1] <= 32
@@ -175,7 +189,7 @@ def _read_corners(source: _Source, chosen: NDArray[np.bool_]) -> tuple[NDArray[n
         line = int(np.flatnonzero(chosen)[np.searchsorted(np.cumsum(sizes), wrong[0], side="right")])
         word = text[np.flatnonzero(begun)[wrong[0]] :].split(maxsplit=1)[0]
         raise source.refuse(line, f"'{decode(word)[:40]}' is no corner of a face")
-    numbers = source.parse(chosen, _fill_in, len(slashes) + int(slashes.sum()), np.int64)
+    numbers = source.parse(chosen, b"f", len(slashes) + int(slashes.sum()), np.int64, _fill_in)
     if np.all(slashes == slashes[0]):
         corners = numbers.reshape(len(slashes), -1)
         return sizes, np.pad(corners, [(0, 0), (0, 3 - corners.shape[1])])
@@ -185,8 +199,8 @@ def _read_corners(source: _Source, chosen: NDArray[np.bool_]) -> tuple[NDArray[n
 
 
 def _fill_in(text: bytes) -> bytes:
-    """Corners with blanks for slashes and 0 for indices that are left out."""
-    text = text.replace(b"f", b" ").replace(b"//", b"/0/")
+    """The text of corners with blanks for slashes and 0 for indices that are left out."""
+    text = text.replace(b"//", b"/0/")
     for blank in (b" ", b"\t", b"\n"):
         text = text.replace(b"/" + blank, b" 0" + blank)
     return (text + b"0" if text.endswith(b"/") else text).replace(b"/", b" ")

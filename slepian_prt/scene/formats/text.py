@@ -24,7 +24,7 @@ class Lines:
     words : (N,) int64
         Numbers of words in them.
     begins : (N,) int64
-        Where their first words begin; their ends if they have none.
+        Where their first words begin; their line feeds if they have none.
     """
 
     text: bytes
@@ -64,7 +64,7 @@ def split_lines(raw: bytes) -> Lines:
     places = np.flatnonzero(begun)
     first = np.searchsorted(places, starts)  # a tenth of the time of np.add.reduceat
     words = np.diff(first, append=len(places))
-    begins = ends.copy()
+    begins = ends - 1
     filled = words > 0
     begins[filled] = places[first[filled]]
     return Lines(text, starts, ends, words, begins)
