@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.colors import decode_srgb
 from slepian_prt.scene.formats.files import decode
-from slepian_prt.scene.formats.text import Lines, find_bad_number, parse_numbers, split_lines
+from slepian_prt.scene.formats.text import Lines, parse_numbers, split_lines
 
 _NAMES = ("vertex", "texture coordinates", "normal")
 
@@ -81,10 +81,9 @@ class _Source:
         self, chosen: NDArray[np.bool_], keyword: bytes, dtype: DTypeLike, edit: Callable[[bytes], bytes]
     ) -> UserError:
         """About the first word that is no number."""
-        for line in np.flatnonzero(chosen).tolist():
-            bad = find_bad_number(edit(self.lines.read(line)[len(keyword) :]), dtype)
-            if bad:
-                return self.refuse(line, f"'{decode(bad[0])[:40]}' is not a number of the kind that belongs there")
+        bad = self.lines.find_bad_number(np.flatnonzero(chosen), len(keyword), dtype, edit)
+        if bad:
+            return self.refuse(bad[0], f"'{bad[1]}' is not a number of the kind that belongs there")
         return UserError(f"{self.path}: its numbers cannot be read; export it again")
 
 

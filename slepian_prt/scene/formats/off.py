@@ -12,7 +12,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble
 from slepian_prt.scene.formats.colors import decode_srgb
 from slepian_prt.scene.formats.parts import MeshFile
-from slepian_prt.scene.formats.text import Lines, find_bad_number, parse_numbers, split_lines
+from slepian_prt.scene.formats.text import Lines, parse_numbers, split_lines
 
 _KEYWORD = re.compile(rb"\s*(?P<ST>ST)?(?P<C>C)?(?P<N>N)?(?P<four>4)?(?P<n>n)?OFF(?P<binary>\s+BINARY)?(?=\s|\Z)")
 
@@ -81,11 +81,9 @@ def _read_numbers(path: Path, lines: Lines, rows: NDArray[np.int64]) -> NDArray[
     chosen[rows] = True
     numbers = parse_numbers(lines.select(chosen), int(lines.words[rows].sum()))
     if numbers is None:
-        for row in rows.tolist():
-            bad = find_bad_number(lines.read(row))
-            if bad:
-                word = bad[0].decode("latin-1")[:40]
-                raise UserError(f"{path}: line {row + 1}: '{word}' is not a number; export it again")
+        bad = lines.find_bad_number(rows)
+        if bad:
+            raise UserError(f"{path}: line {bad[0] + 1}: '{bad[1]}' is not a number; export it again")
         raise UserError(f"{path}: its numbers cannot be read; export it again")
     return numbers
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.formats.text import find_bad_number, parse_numbers, split_lines
+from slepian_prt.scene.formats.text import parse_numbers, split_lines
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -165,10 +165,10 @@ def _read_text(path: Path, raw: bytes, header: Header) -> NDArray[np.uint8]:
     numbers = parse_numbers(lines.text, int(lines.words.sum()))
     first = raw[: header.size].replace(b"\r\n", b"\n").replace(b"\r", b"\n").count(b"\n")
     if numbers is None:
-        bad = find_bad_number(lines.text)
-        word = bad[0].decode("latin-1")[:40] if bad else "?"
-        line = first + 1 + lines.text.count(b"\n", 0, bad.start() if bad else 0)
-        raise UserError(f"{path}: line {line}: '{word}' is not a number; export it again")
+        bad = lines.find_bad_number(np.arange(len(lines.words)))
+        if bad:
+            raise UserError(f"{path}: line {first + 1 + bad[0]}: '{bad[1]}' is not a number; export it again")
+        raise UserError(f"{path}: its numbers cannot be read; export it again")
     filled = np.flatnonzero(lines.words > 0)
     at = 0
     for element in header.elements:

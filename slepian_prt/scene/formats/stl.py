@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.formats.files import decode
 from slepian_prt.scene.formats.joining import join_equal, join_near
 from slepian_prt.scene.formats.parts import MeshFile, MeshPart
 from slepian_prt.scene.formats.text import Lines, find_bad_number, parse_numbers, split_lines
@@ -90,12 +91,15 @@ def _read_text(path: Path, raw: bytes) -> NDArray[np.float64]:
     letters, words = named[0][rest], lines.words[rest]
     facets = len(letters) // len(_LETTERS)
     regular = np.array_equal(letters, np.tile(_LETTERS, facets)) and np.array_equal(words, np.tile(_WORDS, facets))
-    numbers = None
-    if regular:
-        corners = lines.select(rest & (named[0] == ord("v"))).replace(b"vertex", b" ")
-        numbers = parse_numbers(corners, 9 * facets)
+    if not regular:
+        return _read_freely(path, lines).reshape(-1, 3)
+    corners = rest & (named[0] == ord("v"))
+    numbers = parse_numbers(lines.select(corners).replace(b"vertex", b" "), 9 * facets)
     if numbers is None:
-        numbers = _read_freely(path, lines)
+        bad = lines.find_bad_number(np.flatnonzero(corners), len(b"vertex"))
+        if bad:
+            raise UserError(f"{path}: line {bad[0] + 1}: '{bad[1]}' is not a number; export it again")
+        raise UserError(f"{path}: its numbers cannot be read; export it again")
     return numbers.reshape(-1, 3)
 
 
@@ -111,11 +115,10 @@ def _read_freely(path: Path, lines: Lines) -> NDArray[np.float64]:
             raise _refuse(path, lines, begin, "the facet is cut off, or is no triangle")
         corners = match[1].replace(b"vertex", b" " * 6)
         values = parse_numbers(corners, 9)
-        bad = find_bad_number(corners) if values is None else None
-        if values is None or bad:
-            word = bad[0].decode("latin-1")[:40] if bad else "a corner"
-            begin = at + match.start(1) + (bad.start() if bad else 0)
-            raise _refuse(path, lines, begin, f"'{word}' is not a number")
+        if values is None:
+            words = list(re.finditer(rb"\S+", corners))
+            bad = words[find_bad_number([word[0] for word in words]) or 0]
+            raise _refuse(path, lines, at + match.start(1) + bad.start(), f"'{decode(bad[0])[:40]}' is not a number")
         numbers.append(values)
         at += len(facet) + len(b"endfacet")
     return np.concatenate([np.empty(0), *numbers])

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,32 @@ class Lines:
     def read(self, line: int) -> bytes:
         """The words of a line, without white space around them."""
         return self.text[self.begins[line] : self.ends[line]].strip()
+
+    def find_bad_number(
+        self,
+        chosen: NDArray[np.int64],
+        begin: int = 0,
+        dtype: DTypeLike = np.float64,
+        edit: Callable[[bytes], bytes] = bytes,
+    ) -> tuple[int, str] | None:
+        """The first line of some that has a word which is no number, and the word.
+
+        Parameters
+        ----------
+        chosen : (K,)
+            Lines.
+        begin : int
+            Where the numbers begin in each.
+        edit : function
+            Leaves only numbers and what is bad.
+        """
+        words = [edit(self.read(line)[begin:]).split() for line in chosen.tolist()]
+        flat = [word for row in words for word in row]
+        bad = find_bad_number(flat, dtype)
+        if bad is None:
+            return None
+        row = np.searchsorted(np.cumsum([len(row) for row in words]), bad, side="right")
+        return int(chosen[row]), flat[bad].decode("latin-1")[:40]
 
     def select(self, chosen: NDArray[np.bool_]) -> bytes:
         """The text of some lines."""
@@ -86,6 +112,15 @@ def parse_numbers(text: bytes, count: int, dtype: DTypeLike = np.float64) -> NDA
     return numbers if len(numbers) == count else None  # "1-2" and "1.2.3" are two numbers to it
 
 
-def find_bad_number(text: bytes, dtype: DTypeLike = np.float64) -> re.Match[bytes] | None:
-    """The first word that `parse_numbers` does not read."""
-    return next((word for word in re.finditer(rb"\S+", text) if parse_numbers(word[0], 1, dtype) is None), None)
+def find_bad_number(words: Sequence[bytes], dtype: DTypeLike = np.float64) -> int | None:
+    """Index of the first word that `parse_numbers` does not read, by bisection; None if it reads all."""
+    begin, end = 0, len(words)
+    if parse_numbers(b" ".join(words), end, dtype) is not None:
+        return None
+    while end - begin > 1:
+        middle = (begin + end) // 2
+        if parse_numbers(b" ".join(words[begin:middle]), middle - begin, dtype) is None:
+            end = middle
+        else:
+            begin = middle
+    return begin
