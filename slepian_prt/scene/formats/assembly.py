@@ -1,0 +1,161 @@
+"""From polygons of several materials to parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.scene.formats.joining import join_equal
+from slepian_prt.scene.formats.normals import smooth_normals
+from slepian_prt.scene.formats.parts import Material, MeshFile, MeshPart
+from slepian_prt.scene.formats.polygons import triangulate
+
+
+@dataclass(frozen=True, eq=False)
+class Vertices:
+    """What the vertices of a file have.
+
+    Attributes
+    ----------
+    positions : (V, 3) float64
+    normals : (V, 3) float64 or None
+    colors : (V, 3) float32 or None
+    points : (V,) int64 or None
+        Vertices of one number are one point of the surface and share a computed normal. None: each is its own.
+    """
+
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float64] | None = None
+    colors: NDArray[np.float32] | None = None
+    points: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Polygons:
+    """Polygons with what their corners have.
+
+    Attributes
+    ----------
+    sizes : (P,) int64
+        Numbers of corners.
+    corners : (C,) int64
+        Vertices, from 0 on.
+    uv : (C, 2) float32 or None
+        As in `MeshPart`.
+    materials : (P,) int64 or None
+        Indices, -1 for none. None: no polygon has one.
+    """
+
+    sizes: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    uv: NDArray[np.float32] | None = None
+    materials: NDArray[np.int64] | None = None
+
+
+def assemble(
+    path: Path, vertices: Vertices, polygons: Polygons, materials: Sequence[Material] = (), notes: Sequence[str] = ()
+) -> MeshFile:
+    """Triangulate polygons and make a part of each material.
+
+    A single part has all vertices in their order. Several have those that they use; where the file gives no normals,
+    they have those of the whole surface, which goes on from one material to the next (and across ``points``).
+
+    Raises
+    ------
+    UserError
+        A polygon names a vertex that does not exist.
+    """
+    check_corners(path, polygons, len(vertices.positions))
+    triangles, owners = triangulate(vertices.positions, polygons.sizes, polygons.corners)
+    notes = list(notes)
+    lost = len(polygons.sizes) - np.count_nonzero(np.diff(owners, prepend=-1))
+    if lost:
+        notes.append(f"{lost} faces of fewer than three different corners left out")
+    faces = polygons.corners[triangles]
+    uv = None if polygons.uv is None else polygons.uv[triangles]
+    numbers = np.array([-1]) if polygons.materials is None else polygons.materials[owners]
+    used = np.unique(numbers)
+    if len(used) > 1 or vertices.points is not None:
+        vertices = _with_all_normals(vertices, faces)
+    if len(used) <= 1:
+        material = materials[used[0]] if len(used) and used[0] >= 0 else None
+        return MeshFile((_part(path.stem, vertices, faces, uv, material),), tuple(notes))
+    parts = []
+    for number in used:
+        chosen = numbers == number
+        material = materials[number] if number >= 0 else None
+        kept, renumbered = np.unique(faces[chosen], return_inverse=True)
+        own = Vertices(
+            vertices.positions[kept],
+            None if vertices.normals is None else vertices.normals[kept],
+            None if vertices.colors is None else vertices.colors[kept],
+        )
+        name = material.name if material else path.stem
+        parts.append(_part(name, own, renumbered.reshape(-1, 3), None if uv is None else uv[chosen], material))
+    return MeshFile(tuple(parts), tuple(notes))
+
+
+def check_corners(path: Path, polygons: Polygons, count: int) -> None:
+    """Raise UserError if polygons name vertices outside of [0, count)."""
+    bad = np.flatnonzero((polygons.corners < 0) | (polygons.corners >= count))
+    if bad.size:
+        face = int(np.searchsorted(np.cumsum(polygons.sizes), bad[0], side="right"))
+        raise UserError(
+            f"{path}: {bad.size} corners of faces name vertices that do not exist (face {face} names vertex "
+            f"{polygons.corners[bad[0]]}, the mesh has {count} vertices, numbered from 0); export the mesh again"
+        )
+
+
+def join_split(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
+    """Join vertices without normals where position and colour are equal; those of equal position are one point.
+
+    Returns
+    -------
+    vertices : Vertices
+    joined : (V,) int64
+        The number of each vertex among them.
+    """
+    first, joined = join_equal(vertices.positions)
+    if vertices.colors is None:
+        return Vertices(vertices.positions[first]), joined
+    places, point = first, joined
+    first, joined = join_equal(vertices.positions, vertices.colors)
+    points = point[first] if len(first) > len(places) else None
+    return Vertices(vertices.positions[first], None, vertices.colors[first], points), joined
+
+
+def _with_all_normals(vertices: Vertices, faces: NDArray[np.int64]) -> Vertices:
+    positions, points = vertices.positions, vertices.points
+    if points is None:
+        computed = smooth_normals(positions, faces)
+    else:
+        first = np.unique(points, return_index=True)[1]
+        computed = smooth_normals(positions[first], points[faces])[points]
+    if vertices.normals is not None:
+        given = np.abs(vertices.normals).sum(axis=1) > 0  # NaN compares as false
+        computed = np.where(given[:, None], vertices.normals, computed)
+    return replace(vertices, normals=computed)
+
+
+def _part(
+    name: str,
+    vertices: Vertices,
+    faces: NDArray[np.int64],
+    uv: NDArray[np.float32] | None,
+    material: Material | None,
+) -> MeshPart:
+    textured = material is not None and (material.texture is not None or material.metallic_texture is not None)
+    return MeshPart(
+        name=name,
+        positions=vertices.positions,
+        faces=faces,
+        normals=vertices.normals,
+        colors=vertices.colors,
+        uv=uv if textured else None,
+        material=material,
+    )

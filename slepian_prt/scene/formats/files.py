@@ -1,0 +1,31 @@
+"""Files that mesh files name, and names in any encoding."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def find_beside(path: Path, name: str) -> Path:
+    """The file that a mesh file names, which may be missing.
+
+    The name may have the separators of Windows, be one of the computer where the mesh was exported, or have letters
+    of another case: then the file of that name in the folder of the mesh is meant.
+    """
+    name = name.replace("\\", "/")
+    wanted = path.parent / name
+    try:
+        if wanted.is_file():
+            return wanted
+        last = name.rsplit("/", 1)[-1].lower()
+        found = sorted(other for other in path.parent.iterdir() if other.name.lower() == last and other.is_file())
+    except (OSError, ValueError):  # a name that no file can have
+        return wanted
+    return found[0] if found else wanted
+
+
+def decode(raw: bytes) -> str:
+    """UTF-8, or Latin-1 where it is none."""
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")

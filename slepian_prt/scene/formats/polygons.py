@@ -1,0 +1,182 @@
+"""Triangles of polygons of any size, also of those that are not convex."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import mapbox_earcut
+import numpy as np
+from numpy.typing import NDArray
+
+# Sine of the smallest turn that makes a corner: float32 coordinates on a straight line turn by less.
+_STRAIGHT = 1e-6
+
+
+def triangulate(
+    positions: NDArray[np.float64], sizes: NDArray[np.int64], corners: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut polygons into triangles of the same winding.
+
+    Convex polygons become fans around their first corner, quadrilaterals are cut along the diagonal that lies inside,
+    and the ears of others are clipped in their plane of best fit, whose normal is Newell's (Sutherland, Sproull &
+    Schumacker 1974). Corners on a straight line are corners of triangles too. Polygons without an area of a known
+    side, or with corners that are not finite, become fans.
+
+    Parameters
+    ----------
+    positions : (V, 3)
+    sizes : (P,)
+        Number of corners of each polygon; those of fewer than three, repeated ones counted once, are left out.
+    corners : (sum of sizes,)
+        Vertices of the polygons, in [0, V).
+
+    Returns
+    -------
+    triangles : (T, 3) int64
+        Positions in ``corners``, so that other attributes of the corners can follow.
+    owners : (T,) int64
+        The polygon of each, in ascending order.
+    """
+    numbers = np.arange(len(corners), dtype=np.int64)
+    if np.all(sizes == 3):
+        return numbers.reshape(-1, 3), np.arange(len(sizes), dtype=np.int64)
+    numbers, sizes = _without_repeats(sizes, corners, numbers)
+    starts = np.cumsum(sizes) - sizes
+    triangles, owners = [np.empty((0, 3), dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    for size in np.unique(sizes[sizes >= 3]):
+        polygons = np.flatnonzero(sizes == size)
+        rows = numbers[starts[polygons, None] + np.arange(size)]
+        cut, row = _cut(positions, corners, rows)
+        triangles.append(rows[row[:, None], cut])
+        owners.append(polygons[row])
+    owner = np.concatenate(owners)
+    order = np.argsort(owner, kind="stable")
+    return np.concatenate(triangles)[order], owner[order]
+
+
+def _without_repeats(
+    sizes: NDArray[np.int64], corners: NDArray[np.int64], numbers: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Numbers of the corners that differ from the one after them, and how many each polygon has of them."""
+    filled = sizes > 0
+    starts = (np.cumsum(sizes) - sizes)[filled]
+    after = numbers + 1
+    after[starts + sizes[filled] - 1] = starts
+    kept = corners != corners[after]
+    if kept.all():
+        return numbers, sizes
+    counts = np.zeros_like(sizes)
+    counts[filled] = np.add.reduceat(kept, starts, dtype=np.int64)
+    return numbers[kept], counts
+
+
+def _cut(
+    positions: NDArray[np.float64], corners: NDArray[np.int64], rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Triangles (T, 3) in columns of ``rows`` (R, n), and the row of each."""
+    count, size = rows.shape
+    fan = np.stack([np.zeros(size - 2, dtype=np.int64), np.arange(1, size - 1), np.arange(2, size)], axis=1)
+    if size == 3:
+        return np.tile(fan, (count, 1)), np.arange(count)
+    points = positions[corners[rows]]
+    # Numbers next to the limits of float64 overflow, and those that are not finite compare as false: both end as fans.
+    with np.errstate(all="ignore"):
+        points = points - points[:, :1]
+        points = points / np.abs(points).max(axis=(1, 2), keepdims=True)
+        normals = _newell(points)
+        if size == 4:
+            return _cut_quads(points, normals)
+        flat = _project(points, normals)
+        plain = _are_convex(flat) | ~(np.linalg.norm(normals, axis=1) > 1e-12)
+    cuts = [fan if plain[row] else _clip_ears(flat[row], fan) for row in np.flatnonzero(~plain)]
+    simple = np.flatnonzero(plain)
+    row = np.concatenate([np.repeat(simple, size - 2), np.repeat(np.flatnonzero(~plain), [len(cut) for cut in cuts])])
+    return np.concatenate([np.tile(fan, (len(simple), 1)), *cuts]), row
+
+
+def _newell(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(R, 3) twice the vector areas of polygons (R, n, 3)."""
+    return np.cross(points, np.roll(points, -1, axis=1)).sum(axis=1)
+
+
+def _cut_quads(points: NDArray[np.float64], normals: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+    def areas(*corners: int) -> NDArray[np.float64]:
+        a, b, c = (points[:, corner] for corner in corners)
+        return np.einsum("ij,ij->i", np.cross(b - a, c - a), normals)
+
+    first = np.minimum(areas(0, 1, 2), areas(0, 2, 3))
+    second = np.minimum(areas(1, 2, 3), areas(1, 3, 0))
+    total = np.einsum("ij,ij->i", normals, normals)
+    turned = ~(first > _STRAIGHT * total) & (second > first)
+    cuts = np.array([[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]])
+    return cuts[turned.astype(np.int64)].reshape(-1, 3), np.repeat(np.arange(len(points)), 2)
+
+
+def _project(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(R, n, 2) the polygons seen against their normals: anticlockwise."""
+    unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    axis = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
+    right = np.cross(axis, unit)
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    return np.einsum("rnk,rkc->rnc", points, np.stack([right, np.cross(unit, right)], axis=2))
+
+
+def _sines(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of the angles from u to v (…, 2)."""
+    cross = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    return cross / (np.hypot(u[..., 0], u[..., 1]) * np.hypot(v[..., 0], v[..., 1]))
+
+
+def _are_convex(flat: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(R,) whether every corner turns left and is seen from the first in order, which a star's are not."""
+    sides = np.roll(flat, -1, axis=1) - flat
+    turns = _sines(sides, np.roll(sides, -1, axis=1))
+    seen = flat[:, 1:] - flat[:, :1]
+    return np.all(turns > _STRAIGHT, axis=1) & np.all(_sines(seen[:, :-1], seen[:, 1:]) > _STRAIGHT, axis=1)
+
+
+def _clip_ears(flat: NDArray[np.float64], fan: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (T, 3) of one polygon (n, 2), anticlockwise as it is."""
+    ends = np.array([len(flat)], dtype=np.uint32)
+    triangles = mapbox_earcut.triangulate_float64(np.ascontiguousarray(flat), ends).reshape(-1, 3).astype(np.int64)
+    if not len(triangles):
+        return fan
+    if _areas(flat, triangles).sum() < 0:
+        triangles = triangles[:, ::-1]
+    missing = np.setdiff1d(np.arange(len(flat)), triangles)
+    return _with_corners(flat, triangles, missing) if missing.size else triangles
+
+
+def _areas(flat: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(T,) twice the signed areas."""
+    a, b, c = (flat[triangles[:, corner]] for corner in range(3))
+    u, v = b - a, c - a
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def _with_corners(flat: NDArray[np.float64], triangles: NDArray[np.int64], missing: NDArray[np.int64]) -> NDArray:
+    """Add corners that lie on a side of a triangle, which ear clipping need not use: no T-junction is left.
+
+    A triangle (a, b, c) that has all of them between a and b becomes a fan around c.
+    """
+    size = len(flat)
+    left = set(missing.tolist())
+    cut = [tuple(triangle) for triangle in triangles.tolist()]
+    while left:
+        first = min(left)
+        chain = [(first - 1) % size, first]
+        while chain[0] in left:
+            chain.insert(0, (chain[0] - 1) % size)
+        while chain[-1] in left or chain[-1] == first:
+            chain.append((chain[-1] + 1) % size)
+        left -= set(chain)
+        for number, triangle in enumerate(cut):
+            turn = next((k for k in range(3) if (triangle[k], triangle[k - 2]) == (chain[0], chain[-1])), None)
+            if turn is None:
+                continue
+            apex = triangle[turn - 1]
+            around = [(a, b, apex) for a, b in pairwise(chain)]
+            if np.all(_areas(flat, np.array(around)) >= -_STRAIGHT):
+                cut[number : number + 1] = around
+            break
+    return np.array(cut, dtype=np.int64)

@@ -1,0 +1,143 @@
+"""Triangles of polygons: their area and winding against the shoelace formula, and every corner used."""
+
+import numpy as np
+import pytest
+
+from slepian_prt.scene.formats.polygons import triangulate
+from tests.numerics import assert_exact
+
+BRACKET = np.array(
+    [[-2, 1, -2], [-2, 1, 2], [2, 1, 2], [2, 1, 1.9], [-1.9, 1, 1.9], [-1.9, 1, -1.9], [2, 1, -1.9], [2, 1, -2]]
+)
+ARROW = np.array([[0.0, 0, 0], [1, -1, 0], [0, 2, 0], [-1, -1, 0]])  # its corner 0 turns the other way
+
+
+def cut(*polygons):
+    """Corners of the triangles (T, 3, 3), the triangles as vertices, and their owners."""
+    sizes = np.array([len(p) for p in polygons], dtype=np.int64)
+    points = np.concatenate(polygons)
+    corners = np.arange(len(points), dtype=np.int64)
+    triangles, owners = triangulate(points, sizes, corners)
+    return points[triangles], triangles, owners
+
+
+def area(corners):
+    return 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def shoelace(polygon):
+    return 0.5 * sum(
+        np.cross(a - polygon[0], b - polygon[0]) for a, b in zip(polygon, np.roll(polygon, -1, 0), strict=True)
+    )
+
+
+def turned(points, seed=3):
+    """Points after a rotation and a shift."""
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return points @ q.T + [5.0, -3.0, 1.0]
+
+
+def regular(n):
+    angle = 2 * np.pi * np.arange(n) / n
+    return np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+
+
+def comb(teeth):
+    x = np.repeat(np.arange(2 * teeth), 2)[1:-1] * 1.0
+    y = np.tile([1.0, 1, 0.1, 0.1], teeth)[: len(x)]
+    return np.column_stack([np.append(x, [x[-1], 0]), np.append(y, [0, 0]), np.zeros(len(x) + 2)])
+
+
+def gear(n, seed):
+    """A star-shaped polygon of random radii."""
+    angle = 2 * np.pi * np.arange(n) / n
+    radius = np.random.default_rng(seed).uniform(0.2, 1, n)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], axis=1)
+
+
+SIMPLE = {
+    "triangle": regular(3), "square": regular(4), "arrow": ARROW, "bracket": BRACKET, "comb": comb(6),
+    "heptagon": regular(7), "thousand": regular(1000),
+    "midpoint": np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]]),
+    "keyhole": np.array(
+        [[0.0, 0], [4, 0], [4, 4], [0, 4], [0, 0], [1, 1], [1, 3], [3, 3], [3, 1], [1, 1]]
+    ) @ np.eye(2, 3),
+    **{f"gear{n}": gear(n, n) for n in (5, 6, 9, 30)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("begin", [0, 1, 2, 3])
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("name", SIMPLE)
+def test_simple_polygons_are_covered_once(name, backwards, begin):
+    polygon = np.roll(SIMPLE[name][:: -1 if backwards else 1], begin, axis=0)
+    corners, triangles, _ = cut(turned(polygon))
+    areas = area(corners)
+    right = shoelace(turned(polygon))
+    # As many additions of products of numbers up to 6, squared, as there are corners.
+    rounding = 40 * len(polygon) * 36 * np.finfo(float).eps
+    np.testing.assert_allclose(areas.sum(axis=0), right, atol=rounding)
+    # No triangle runs against the polygon: areas add up without cancelling.
+    np.testing.assert_allclose(np.linalg.norm(areas, axis=1).sum(), np.linalg.norm(right), atol=rounding)
+    assert_exact(np.unique(triangles), np.arange(len(polygon)), "every corner is a corner of a triangle")
+
+
+def test_a_convex_quadrilateral_is_cut_from_its_first_corner():
+    _, triangles, owners = cut(turned(regular(4)), regular(3), turned(regular(5)))
+    expected = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [7, 8, 9], [7, 9, 10], [7, 10, 11]]
+    assert_exact(triangles, expected, "indices")
+    assert_exact(owners, [0, 0, 1, 2, 2, 2], "indices")
+
+
+def test_no_sliver_where_a_corner_of_a_quadrilateral_is_straight():
+    corners, _, _ = cut(np.array([[0.0, 0, 0], [1, 1e-8, 0], [2, 0, 0], [1, 2, 0]]))
+    assert np.linalg.norm(area(corners), axis=1).min() > 0.9
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 8])
+def test_a_bent_polygon_keeps_its_boundary(n):
+    polygon = regular(n) + np.random.default_rng(0).normal(scale=0.1, size=(n, 3))
+    _, triangles, _ = cut(polygon)
+    sides = [(t[k], t[(k + 1) % 3]) for t in triangles.tolist() for k in range(3)]
+    boundary = {side for side in sides if side[::-1] not in sides}
+    assert boundary == {(k, (k + 1) % n) for k in range(n)}
+
+
+@pytest.mark.parametrize(
+    "polygon",
+    [
+        np.zeros((6, 3)),
+        np.column_stack([np.arange(6.0), np.zeros(6), np.zeros(6)]),
+        np.array([[0.0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1, 0]]),
+        regular(5)[[0, 2, 4, 1, 3]],
+        np.full((5, 3), np.nan),
+        np.full((7, 3), np.inf),
+        ARROW * 1e300,
+        regular(6)[[0, 1, 2, 1, 3, 4]] * 1e-300,
+    ],
+)
+def test_polygons_that_are_none_do_no_harm(polygon):
+    _, triangles, owners = cut(polygon, regular(3))
+    assert 1 < len(triangles) <= len(polygon) - 1
+    assert triangles.max() == len(polygon) + 2
+    assert owners[-1] == 1
+
+
+def test_repeated_corners_count_once():
+    points = regular(4)
+    corners = np.array([0, 1, 1, 2, 3, 0, 0, 1, 1, 0, 2, 2, 2, 2, 0, 1, 2])
+    triangles, owners = triangulate(points, np.array([6, 4, 4, 3, 0]), corners)
+    assert_exact(corners[triangles], [[0, 1, 2], [0, 2, 3], [0, 1, 2]], "indices")
+    assert_exact(owners, [0, 0, 3], "the second and third have fewer than three corners")
+
+
+def test_polygons_of_one_size_are_cut_each_in_its_way():
+    corners, _, owners = cut(
+        *[turned(gear(9, k), seed=k) for k in range(40)], *[turned(regular(9), k) for k in range(9)]
+    )
+    sums = np.zeros((49, 3))
+    np.add.at(sums, owners, area(corners))
+    right = [shoelace(turned(gear(9, k), seed=k)) for k in range(40)] + [
+        shoelace(turned(regular(9), k)) for k in range(9)
+    ]
+    np.testing.assert_allclose(sums, right, atol=40 * 9 * 36 * np.finfo(float).eps)
