@@ -1,0 +1,349 @@
+"""Quadrature rules on regions bounded by arcs of circles, ring by ring about a pole in or near the region.
+
+Between the polar angles at which an arc starts, ends, turns back or meets another, the azimuths of the boundary are
+smooth functions of the angle but for square roots at both ends, which a sine substitution removes; on each stretch of
+a ring the integrand is a trigonometric polynomial. All weights are positive. Seen from a pole next to it the boundary
+is known by its distances from the pole, not by coordinates of unit vectors: small regions keep their digits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.sphere.quadrature import gauss_legendre
+from slepian_prt.sphere.rotation import rotation_to
+
+TURN = 2.0 * math.pi
+_SPLITS = 12
+_EPSILON = float(np.finfo(np.float64).eps)
+Contains = Callable[[NDArray], NDArray]
+
+
+class Arcs(NamedTuple):
+    """Arcs of circles on the sphere.
+
+    Attributes
+    ----------
+    axes : (k, 3)
+        Unit vectors; an arc turns counter-clockwise about its own.
+    angles : (k,)
+        Of the circles from their axes, radians; π/2 where not ``whole``.
+    whole : (k,) bool
+        Whether it is a full circle, and not an arc (shorter than π) of a great circle.
+    starts, ends : (k, 3)
+        Unit vectors; of no meaning where ``whole``.
+    corners : (m, 3)
+        Where arcs start, end or cross.
+    """
+
+    axes: NDArray[np.float64]
+    angles: NDArray[np.float64]
+    whole: NDArray[np.bool_]
+    starts: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    corners: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Stretches of r neighbouring rings, g on each.
+
+    Attributes
+    ----------
+    theta, weights : (r,)
+        Polar angles, with the weights of ∫ … sin θ dθ.
+    starts, widths : (r, g)
+        Azimuths; a width of 2π is the whole ring.
+    """
+
+    theta: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    starts: NDArray[np.float64]
+    widths: NDArray[np.float64]
+
+    @property
+    def area(self) -> float:
+        return float(self.weights @ self.widths.sum(axis=1))
+
+
+class _Stretch(NamedTuple):
+    """Azimuths inside, between two crossings of a ring: numbers of their arcs, signs of their branches, full turns."""
+
+    arcs: tuple[int, int]
+    signs: tuple[int, int]
+    turns: int
+
+
+class _Panel(NamedTuple):
+    """Polar angles from ``low`` to ``high``, between which rings cross the same arcs in the same order."""
+
+    low: float
+    high: float
+    stretches: list[_Stretch]
+    full: bool
+
+
+def join_arcs(mine: Arcs, theirs: Arcs) -> Arcs:
+    """Both boundaries in one, with the corners where they cross."""
+    axes, angles, whole, starts, ends, corners = (np.concatenate([a, b]) for a, b in zip(mine, theirs, strict=True))
+    return Arcs(axes, angles, whole, starts, ends, np.concatenate([corners, *_meetings(mine, theirs)]))
+
+
+def _meetings(mine: Arcs, theirs: Arcs) -> Iterator[NDArray[np.float64]]:
+    """Points where an arc of one boundary meets one of the other; a few beyond the ends do no harm."""
+    my_heights, their_heights = (np.where(arcs.whole, np.cos(arcs.angles), 0.0) for arcs in (mine, theirs))
+    for i, (axis, height) in enumerate(zip(mine.axes, my_heights, strict=True)):
+        lines = np.cross(axis, theirs.axes)
+        squared = _dots(lines, lines)
+        # Circles about one axis do not meet, or are the same.
+        safe = np.where(squared < 1e-24, np.inf, squared)
+        bases = (height * np.cross(theirs.axes, lines) + their_heights[:, None] * np.cross(lines, axis)) / safe[:, None]
+        rest = 1.0 - _dots(bases, bases)
+        one = _pick(mine, np.array([i]))
+        for sign in (1.0, -1.0):
+            points = bases + sign * np.sqrt(np.maximum(rest, 0.0) / safe)[:, None] * lines
+            on_both = _along(theirs, points, points, 1e-12) & _along(one, points, points, 1e-12)
+            yield points[(rest >= 0.0) & (squared >= 1e-24) & on_both]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Arcs seen from a pole: where rings about it cross them.
+
+    Attributes
+    ----------
+    arcs : Arcs
+    frame : (3, 3)
+        A rotation whose last column is the pole.
+    centers, reaches, rises, drops : (k,)
+        A ring at θ crosses circle i at cos(φ - center) = (drop + 2 sin²(θ/2) rise) / (reach sin θ): in terms of its
+        axis a, the azimuth and the sine of the angle to a, a·p, and cos β - a·p.
+    low, high : (k,)
+        Polar angles that each arc spans.
+    breaks : list of float
+        Those at which the boundary changes its course, ascending.
+    """
+
+    arcs: Arcs
+    frame: NDArray[np.float64]
+    centers: NDArray[np.float64]
+    reaches: NDArray[np.float64]
+    rises: NDArray[np.float64]
+    drops: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    breaks: list[float]
+
+    def halves(self, arc: int | NDArray, theta: NDArray | float) -> NDArray[np.float64]:
+        """Half of the azimuths that lie within a circle, on a ring."""
+        height = self.drops[arc] + 2.0 * np.sin(0.5 * theta) ** 2 * self.rises[arc]
+        return np.arccos(np.clip(height / (np.sin(theta) * self.reaches[arc]), -1.0, 1.0))
+
+    def crossings(self, theta: float) -> tuple[NDArray, NDArray, NDArray]:
+        """Numbers of the arcs that a ring crosses, signs of the branches, and azimuths."""
+        reached = np.flatnonzero((self.low < theta) & (theta < self.high) & (self.reaches > 0.0))
+        halves = self.halves(reached, theta)
+        arcs, signs = np.tile(reached, 2), np.repeat([-1, 1], reached.size)
+        azimuths = self.centers[arcs] + signs * np.tile(halves, 2)
+        points = self.offsets(theta, azimuths)
+        slack = 1e-13 * math.sin(theta)
+        some, pole = _pick(self.arcs, arcs), self.frame[:, 2]
+        on = _along(some, points - (some.starts - pole), points - (some.ends - pole), slack)
+        return arcs[on], signs[on], azimuths[on]
+
+    def offsets(self, theta: NDArray | float, azimuths: NDArray) -> NDArray[np.float64]:
+        """Directions less the pole, (n, 3)."""
+        sine, fall = np.sin(theta), np.asarray(-2.0 * np.sin(0.5 * theta) ** 2)
+        local = np.column_stack(
+            [sine * np.cos(azimuths), sine * np.sin(azimuths), np.broadcast_to(fall, azimuths.shape)]
+        )
+        return local @ self.frame.T
+
+    def directions(self, theta: NDArray | float, azimuths: NDArray) -> NDArray[np.float64]:
+        """Unit vectors, (n, 3)."""
+        return self.frame[:, 2] + self.offsets(theta, azimuths)
+
+
+def _look(arcs: Arcs, pole: NDArray) -> _Seen:
+    frame = rotation_to(pole)
+    pole = frame[:, 2]
+    offsets = (arcs.axes - pole) @ frame
+    reaches = np.hypot(offsets[:, 0], offsets[:, 1])
+    # Next to the pole these are differences of nearly equal numbers, but for what is itself formed from differences.
+    squared, aside = _dots(arcs.axes - pole, arcs.axes - pole), _dots(arcs.axes, arcs.starts - pole)
+    rises = np.where(arcs.whole, 1.0 - 0.5 * squared, -aside)
+    drops = np.where(arcs.whole, 0.5 * squared - 2.0 * np.sin(0.5 * arcs.angles) ** 2, aside)
+    tilts = _angles(arcs.axes, pole)
+    nearest = np.where(arcs.whole, np.abs(tilts - arcs.angles), np.arctan2(np.abs(drops), reaches))
+    farthest = np.where(arcs.whole, math.pi - np.abs(math.pi - tilts - arcs.angles), math.pi - nearest)
+    # The foot of the perpendicular from the pole, and from its opposite: on the arc, the polar angle turns there.
+    turns_near, turns_far = _along(arcs, pole - arcs.starts, pole - arcs.ends), _along(arcs, -pole[None], -pole[None])
+    at_start, at_end = _angles(arcs.starts, pole), _angles(arcs.ends, pole)
+    low = np.where(turns_near, nearest, np.minimum(at_start, at_end))
+    high = np.where(turns_far, farthest, np.maximum(at_start, at_end))
+    found = np.concatenate([[0.0, math.pi], _angles(arcs.corners, pole), nearest[turns_near], farthest[turns_far]])
+    breaks = np.unique(found)
+    breaks = breaks[np.append(True, np.diff(breaks) > 4.0 * _EPSILON * breaks[1:])]
+    centers = np.arctan2(offsets[:, 1], offsets[:, 0])
+    return _Seen(arcs, frame, centers, reaches, rises, drops, low, high, breaks.tolist())
+
+
+def _pick(arcs: Arcs, which: NDArray) -> Arcs:
+    return Arcs(
+        arcs.axes[which], arcs.angles[which], arcs.whole[which], arcs.starts[which], arcs.ends[which], arcs.corners
+    )
+
+
+def _along(arcs: Arcs, from_starts: NDArray, from_ends: NDArray, slack: float = 0.0) -> NDArray[np.bool_]:
+    """Whether points of the circles are on the arcs; given less the starts and less the ends of the arcs, or as is."""
+    past_start = _dots(np.cross(arcs.axes, arcs.starts), from_starts) >= -slack
+    before_end = _dots(np.cross(arcs.axes, arcs.ends), from_ends) <= slack
+    return np.asarray(arcs.whole | (past_start & before_end))
+
+
+def _angles(directions: NDArray, pole: NDArray) -> NDArray[np.float64]:
+    return 2.0 * np.arctan2(np.linalg.norm(directions - pole, axis=1), np.linalg.norm(directions + pole, axis=1))
+
+
+def _dots(a: NDArray, b: NDArray) -> NDArray[np.float64]:
+    return np.sum(a * b, axis=1)
+
+
+def region_rule(arcs: Arcs, contains: Contains, pole: NDArray, degree: int) -> tuple[NDArray, NDArray]:
+    """(n, 3) directions and (n,) weights on the region about a pole; see `CircleRegion.rule`."""
+    seen = _look(arcs, pole)
+    panels = _panels(seen, contains)
+    # Rings until each panel's share is good to rounding of the whole area, which a first look tells.
+    area = sum(_sample(seen, panel, 12).area for panel in panels)
+    strips = [strip for panel in panels for strip in _refine(seen, panel, degree, 1e-14 * min(area, 1.0), _SPLITS)]
+    theta, azimuths, weights = spread_nodes(strips, degree)
+    return seen.directions(theta, azimuths), weights
+
+
+def _panels(seen: _Seen, contains: Contains) -> list[_Panel]:
+    """Panels that are not outside as a whole; the directions that tell are tested all at once."""
+    spans = list(pairwise(seen.breaks))
+    found, probes = [], []
+    for low, high in spans:
+        middle = 0.5 * (low + high)
+        arcs, signs, azimuths = seen.crossings(middle)
+        order = np.argsort(azimuths % TURN)
+        arcs, signs, azimuths = arcs[order], signs[order], azimuths[order]
+        wrapped = azimuths % TURN
+        ends = np.append(wrapped[1:], wrapped[:1] + TURN)
+        probes.append(seen.directions(middle, 0.5 * (wrapped + ends) if arcs.size else np.zeros(1)))
+        found.append((arcs, signs, np.rint((wrapped - azimuths) / TURN).astype(int)))
+    inside = np.split(contains(np.concatenate(probes)), np.cumsum([len(part) for part in probes])[:-1])
+    panels = [
+        _Panel(low, high, [] if keep.all() else _stretches(*ring, keep), bool(keep.all()))
+        for (low, high), ring, keep in zip(spans, found, inside, strict=True)
+    ]
+    return [panel for panel in panels if panel.full or panel.stretches]
+
+
+def _stretches(arcs: NDArray, signs: NDArray, turns: NDArray, inside: NDArray) -> list[_Stretch]:
+    """Join neighbouring stretches inside; ``inside[i]`` is about the one from crossing i to the next."""
+    before = np.roll(inside, 1)
+    begins, ends = np.flatnonzero(inside & ~before), np.flatnonzero(~inside & before)
+    if begins.size and ends[0] < begins[0]:
+        ends = np.roll(ends, -1)
+    return [
+        _Stretch(
+            (int(arcs[a]), int(arcs[b])), (int(signs[a]), int(signs[b])), int(turns[b] - turns[a]) + (1 if b < a else 0)
+        )
+        for a, b in zip(begins, ends, strict=True)
+    ]
+
+
+def _refine(seen: _Seen, panel: _Panel, degree: int, tolerance: float, splits: int) -> list[Strip]:
+    """Rings of a panel; it is cut up until the length of the stretches is integrated to rounding."""
+    # The substitution makes the fastest oscillation π/2 times faster; the rest is for the course of the boundary.
+    least = nodes_for(0.5 * math.pi * degree * (panel.high - panel.low))
+    coarse, fine = (_sample(seen, panel, least + n) for n in (0, 12))
+    # Azimuths up to 2π are rounded, each stretch has two.
+    rounding = 16.0 * math.pi * _EPSILON * float(fine.weights.sum()) * fine.widths.shape[1]
+    if splits == 0 or abs(coarse.area - fine.area) <= tolerance + rounding:
+        return [fine]
+    middle = _split(panel.low, panel.high)
+    parts = panel._replace(high=middle), panel._replace(low=middle)
+    return [strip for part in parts for strip in _refine(seen, part, degree, tolerance, splits - 1)]
+
+
+def _split(low: float, high: float) -> float:
+    """The middle; of distances from a pole that differ by much, the geometric mean.
+
+    An edge that passes the pole at a distance d has a course that changes on the scale of the larger of d and θ: by
+    halves one of 1e-8 rad would not be reached.
+    """
+    if low > 0.0 and high > 4.0 * low:
+        return math.sqrt(low * high)
+    if high < math.pi and math.pi - low > 4.0 * (math.pi - high):
+        return math.pi - math.sqrt((math.pi - low) * (math.pi - high))
+    return 0.5 * (low + high)
+
+
+def _sample(seen: _Seen, panel: _Panel, count: int) -> Strip:
+    rule = gauss_legendre(count)
+    t = 0.5 * (1.0 + rule.nodes)
+    length = panel.high - panel.low
+    theta = panel.low + length * np.sin(0.5 * math.pi * t) ** 2
+    weights = 0.25 * math.pi * rule.weights * length * np.sin(math.pi * t) * np.sin(theta)
+    if panel.full:
+        return Strip(theta, weights, np.zeros((count, 1)), np.full((count, 1), TURN))
+    starts, widths = [], []
+    for (a, b), (sign_a, sign_b), turns in panel.stretches:
+        half_a, half_b = sign_a * seen.halves(a, theta), sign_b * seen.halves(b, theta)
+        starts.append(seen.centers[a] + half_a)
+        widths.append((seen.centers[b] - seen.centers[a] + TURN * turns) + (half_b - half_a))
+    return Strip(theta, weights, np.column_stack(starts), np.clip(np.column_stack(widths), 0.0, TURN))
+
+
+def spread_nodes(strips: Iterable[Strip], degree: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Polar angles, azimuths and weights (n,) of rules on the stretches, exact for trigonometric polynomials."""
+    nodes = [np.zeros((3, 0))]
+    for strip in strips:
+        for start, width in zip(strip.starts.T, strip.widths.T, strict=True):
+            longest = float(width.max())
+            if float(width.min()) == TURN:
+                places, shares = np.arange(degree + 1) / (degree + 1), np.full(degree + 1, 1.0 / (degree + 1))
+            else:
+                rule = gauss_legendre(_nodes_on_arc(degree * longest))
+                places, shares = 0.5 * (1.0 + rule.nodes), 0.5 * rule.weights
+            theta = np.repeat(strip.theta, places.size)
+            azimuths = (start[:, None] + width[:, None] * places).ravel()
+            nodes.append(np.stack([theta, azimuths, np.outer(strip.weights * width, shares).ravel()]))
+    theta, azimuths, weights = np.concatenate(nodes, axis=1)
+    return theta, azimuths, weights
+
+
+def nodes_for(phase: float) -> int:
+    """Gauss nodes that integrate an oscillation of ``phase`` radians over the interval to rounding.
+
+    The error of n nodes is that of the Bessel function J_2n(phase/2), whose transition from oscillation to decay has
+    a width of (phase/2)^⅓; eleven widths are 1e-16.
+    """
+    half = 0.5 * phase
+    return math.ceil(0.5 * half + 5.75 * half ** (1.0 / 3.0)) + 12
+
+
+def _nodes_on_arc(phase: float) -> int:
+    """As `nodes_for`, without its allowance for the course of a boundary: few for a small phase.
+
+    The error of n nodes for an oscillation is at most 2^(2n+1) n!⁴ / ((2n+1) (2n)!³) (phase/2)^(2n) (Abramowitz and
+    Stegun 1964, 25.4.30).
+    """
+    most = nodes_for(phase)
+    if phase == 0.0:
+        return 1
+    for n in range(1, most):
+        constant = (2 * n + 1) * math.log(2.0) + 4.0 * math.lgamma(n + 1) - 3.0 * math.lgamma(2 * n + 1)
+        if constant - math.log(2 * n + 1) + 2 * n * math.log(0.5 * phase) <= math.log(1e-17):
+            return n
+    return most
