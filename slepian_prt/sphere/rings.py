@@ -238,7 +238,8 @@ def _panels(seen: _Seen, contains: Contains) -> list[_Panel]:
         arcs, signs, azimuths = arcs[order], signs[order], azimuths[order]
         wrapped = azimuths % TURN
         ends = np.append(wrapped[1:], wrapped[:1] + TURN)
-        probes.append(seen.directions(middle, 0.5 * (wrapped + ends) if arcs.size else np.zeros(1)))
+        # Not the middle: in a symmetric region another arc may come as close there as a direction's rounding.
+        probes.append(seen.directions(middle, wrapped + 0.382 * (ends - wrapped) if arcs.size else np.array([0.382])))
         found.append((arcs, signs, np.rint((wrapped - azimuths) / TURN).astype(int)))
     inside = np.split(contains(np.concatenate(probes)), np.cumsum([len(part) for part in probes])[:-1])
     panels = [
