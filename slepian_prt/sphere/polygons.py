@@ -85,6 +85,10 @@ def make_polygon(vertices: ArrayLike) -> Polygon:
         Fewer than three different vertices or more than 20,000, two successive ones opposite, or edges that cross,
         touch or overlap.
     """
+    try:
+        vertices = np.asarray(vertices, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError("vertices must have shape (n, 3) and hold numbers only") from None
     corners = check_directions(vertices, "vertices")
     if len(corners) > LARGEST:
         raise UserError(f"vertices must hold at most {LARGEST} directions, not {len(corners)}; leave some out")

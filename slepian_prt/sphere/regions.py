@@ -177,11 +177,10 @@ def mask_region(mask: ArrayLike) -> MaskRegion:
         raise UserError(f"mask must have shape (H, W), not {cells.shape}")
     if cells.dtype.kind not in "biuf":
         raise UserError(f"mask must hold true and false, or numbers, not {cells.dtype}")
-    unknown = ~np.isfinite(cells) | np.ma.getmaskarray(np.ma.asarray(mask))
-    if unknown.any():
-        row, column = (int(x[0]) for x in np.nonzero(unknown))
-        value = "hidden" if np.isfinite(cells[row, column]) else cells[row, column]
-        raise UserError(f"mask[{row}, {column}] must be finite, not {value}; set it to zero to leave the cell out")
+    for wrong, what in ((~np.isfinite(cells), "be finite"), (np.ma.getmaskarray(np.ma.asarray(mask)), "not be hidden")):
+        if wrong.any():
+            row, column = (int(x[0]) for x in np.nonzero(wrong))
+            raise UserError(f"mask[{row}, {column}] must {what}; set it to 0 to leave the cell out, to 1 to keep it")
     return MaskRegion(cells != 0)
 
 

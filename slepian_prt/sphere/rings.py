@@ -98,19 +98,18 @@ def join_arcs(mine: Arcs, theirs: Arcs) -> Arcs:
 
 def _meetings(mine: Arcs, theirs: Arcs) -> Iterator[NDArray[np.float64]]:
     """Points where an arc of one boundary meets one of the other; a few beyond the ends do no harm."""
-    my_heights, their_heights = (np.where(arcs.whole, np.cos(arcs.angles), 0.0) for arcs in (mine, theirs))
-    for i, (axis, height) in enumerate(zip(mine.axes, my_heights, strict=True)):
-        lines = np.cross(axis, theirs.axes)
-        squared = _dots(lines, lines)
-        # Circles about one axis do not meet, or are the same.
-        safe = np.where(squared < 1e-24, np.inf, squared)
-        bases = (height * np.cross(theirs.axes, lines) + their_heights[:, None] * np.cross(lines, axis)) / safe[:, None]
-        rest = 1.0 - _dots(bases, bases)
-        one = _pick(mine, np.array([i]))
-        for sign in (1.0, -1.0):
-            points = bases + sign * np.sqrt(np.maximum(rest, 0.0) / safe)[:, None] * lines
-            on_both = _along(theirs, points, points, 1e-12) & _along(one, points, points, 1e-12)
-            yield points[(rest >= 0.0) & (squared >= 1e-24) & on_both]
+    for some, others in ((mine, theirs), (theirs, mine)):
+        # A whole circle is a ring about its own axis.
+        for axis, angle in zip(some.axes[some.whole], some.angles[some.whole], strict=True):
+            seen = _look(others, axis)
+            yield seen.directions(angle, seen.crossings(float(angle))[2])
+    edges = _pick(theirs, np.flatnonzero(~theirs.whole))
+    for i in np.flatnonzero(~mine.whole):
+        one, lines = _pick(mine, np.array([i])), np.cross(mine.axes[i], edges.axes)
+        lengths = np.linalg.norm(lines, axis=1)
+        lines /= np.where(lengths > 1e-12, lengths, np.inf)[:, None]
+        for points in (lines, -lines):
+            yield points[(lengths > 1e-12) & _along(edges, points, points, 1e-12) & _along(one, points, points, 1e-12)]
 
 
 @dataclass(frozen=True)
@@ -122,9 +121,10 @@ class _Seen:
     arcs : Arcs
     frame : (3, 3)
         A rotation whose last column is the pole.
-    centers, reaches, rises, drops : (k,)
-        A ring at θ crosses circle i at cos(φ - center) = (drop + 2 sin²(θ/2) rise) / (reach sin θ): in terms of its
-        axis a, the azimuth and the sine of the angle to a, a·p, and cos β - a·p.
+    centers : (k,)
+        Azimuths of the axes.
+    differences, sums : (k,)
+        β - α and β + α, of the circles' angles β and those α from the pole to their axes.
     low, high : (k,)
         Polar angles that each arc spans.
     breaks : list of float
@@ -134,21 +134,26 @@ class _Seen:
     arcs: Arcs
     frame: NDArray[np.float64]
     centers: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    rises: NDArray[np.float64]
-    drops: NDArray[np.float64]
+    differences: NDArray[np.float64]
+    sums: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     breaks: list[float]
 
     def halves(self, arc: int | NDArray, theta: NDArray | float) -> NDArray[np.float64]:
-        """Half of the azimuths that lie within a circle, on a ring."""
-        height = self.drops[arc] + 2.0 * np.sin(0.5 * theta) ** 2 * self.rises[arc]
-        return np.arccos(np.clip(height / (np.sin(theta) * self.reaches[arc]), -1.0, 1.0))
+        """Half of the azimuths that lie within a circle, on a ring.
+
+        By the half-angle formula of the spherical triangle with the sides α, β and θ, tan²(φ/2) =
+        sin((β+α-θ)/2) sin((β-α+θ)/2) / (sin((β+α+θ)/2) sin((θ-β+α)/2)), small differences keep their digits.
+        """
+        difference, total = self.differences[arc], self.sums[arc]
+        above = np.sin(0.5 * (total - theta)) * np.sin(0.5 * (theta + difference))
+        below = np.sin(0.5 * (total + theta)) * np.sin(0.5 * (theta - difference))
+        return np.asarray(2.0 * np.arctan2(np.sqrt(np.maximum(above, 0.0)), np.sqrt(np.maximum(below, 0.0))))
 
     def crossings(self, theta: float) -> tuple[NDArray, NDArray, NDArray]:
         """Numbers of the arcs that a ring crosses, signs of the branches, and azimuths."""
-        reached = np.flatnonzero((self.low < theta) & (theta < self.high) & (self.reaches > 0.0))
+        reached = np.flatnonzero((self.low < theta) & (theta < self.high))
         halves = self.halves(reached, theta)
         arcs, signs = np.tile(reached, 2), np.repeat([-1, 1], reached.size)
         azimuths = self.centers[arcs] + signs * np.tile(halves, 2)
@@ -175,14 +180,12 @@ def _look(arcs: Arcs, pole: NDArray) -> _Seen:
     frame = rotation_to(pole)
     pole = frame[:, 2]
     offsets = (arcs.axes - pole) @ frame
-    reaches = np.hypot(offsets[:, 0], offsets[:, 1])
-    # Next to the pole these are differences of nearly equal numbers, but for what is itself formed from differences.
-    squared, aside = _dots(arcs.axes - pole, arcs.axes - pole), _dots(arcs.axes, arcs.starts - pole)
-    rises = np.where(arcs.whole, 1.0 - 0.5 * squared, -aside)
-    drops = np.where(arcs.whole, 0.5 * squared - 2.0 * np.sin(0.5 * arcs.angles) ** 2, aside)
+    # An edge's great circle passes the pole at an elevation that is formed from the difference to one of its ends.
+    elevations = np.arctan2(_dots(arcs.axes, pole - arcs.starts), np.hypot(offsets[:, 0], offsets[:, 1]))
     tilts = _angles(arcs.axes, pole)
-    nearest = np.where(arcs.whole, np.abs(tilts - arcs.angles), np.arctan2(np.abs(drops), reaches))
-    farthest = np.where(arcs.whole, math.pi - np.abs(math.pi - tilts - arcs.angles), math.pi - nearest)
+    differences = np.where(arcs.whole, arcs.angles - tilts, elevations)
+    sums = np.where(arcs.whole, arcs.angles + tilts, math.pi - elevations)
+    nearest, farthest = np.abs(differences), math.pi - np.abs(math.pi - sums)
     # The foot of the perpendicular from the pole, and from its opposite: on the arc, the polar angle turns there.
     turns_near, turns_far = _along(arcs, pole - arcs.starts, pole - arcs.ends), _along(arcs, -pole[None], -pole[None])
     at_start, at_end = _angles(arcs.starts, pole), _angles(arcs.ends, pole)
@@ -192,7 +195,7 @@ def _look(arcs: Arcs, pole: NDArray) -> _Seen:
     breaks = np.unique(found)
     breaks = breaks[np.append(True, np.diff(breaks) > 4.0 * _EPSILON * breaks[1:])]
     centers = np.arctan2(offsets[:, 1], offsets[:, 0])
-    return _Seen(arcs, frame, centers, reaches, rises, drops, low, high, breaks.tolist())
+    return _Seen(arcs, frame, centers, differences, sums, low, high, breaks.tolist())
 
 
 def _pick(arcs: Arcs, which: NDArray) -> Arcs:
