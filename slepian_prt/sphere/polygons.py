@@ -90,6 +90,9 @@ def make_polygon(vertices: ArrayLike) -> Polygon:
     except (TypeError, ValueError):
         raise UserError("vertices must have shape (n, 3) and hold numbers only") from None
     corners = check_directions(vertices, "vertices")
+    # Unit vectors stay as they are: a second rounding of their length moves them by 1e-16, across a tiny polygon too.
+    unit = np.abs(corners - vertices).max(axis=-1, keepdims=True, initial=0.0) <= 4e-16
+    corners = np.where(unit, vertices, corners)
     if len(corners) > LARGEST:
         raise UserError(f"vertices must hold at most {LARGEST} directions, not {len(corners)}; leave some out")
     # A vertex repeated at once, or the first one again at the end, adds an edge of no length.

@@ -108,7 +108,7 @@ class MaskRegion:
             if starts.size:
                 ends = np.flatnonzero(cells & ~np.roll(cells, -1)) + 1
                 counts = np.roll(ends, -int(np.searchsorted(ends, starts[0], side="right"))) - starts
-                counts[counts <= 0] += width
+                counts[counts < 0] += width
             else:
                 starts = np.array([0])
             theta = math.pi * (row + 0.5 * (1.0 + rule.nodes)) / height

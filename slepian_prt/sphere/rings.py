@@ -178,7 +178,7 @@ class _Seen:
 
 def _look(arcs: Arcs, pole: NDArray) -> _Seen:
     frame = rotation_to(pole)
-    pole = frame[:, 2]
+    frame[:, 2] = pole  # bit for bit: a cap's own axis is no distance away
     offsets = (arcs.axes - pole) @ frame
     # An edge's great circle passes the pole at an elevation that is formed from the difference to one of its ends.
     elevations = np.arctan2(_dots(arcs.axes, pole - arcs.starts), np.hypot(offsets[:, 0], offsets[:, 1]))

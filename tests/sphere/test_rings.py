@@ -31,6 +31,19 @@ def test_parts_add_up_in_every_harmonic(rng):
     np.testing.assert_allclose(rest + whole, [math.sqrt(4 * math.pi)] + [0.0] * 255, atol=2e-14)
 
 
+def test_corners_where_boundaries_cross():
+    east, north = cap_region([1, 0, 0], math.pi / 3), cap_region([0, 1, 0], math.pi / 3)
+    corners = (east | north).arcs.corners
+    expected = [[0.5, 0.5, -math.sqrt(0.5)], [0.5, 0.5, math.sqrt(0.5)]]
+    for corner in expected:
+        assert np.linalg.norm(corners - corner, axis=1).min() < 1e-15
+    np.testing.assert_allclose(np.abs(corners), np.abs(np.broadcast_to(expected[1], corners.shape)), atol=1e-15)
+    octant = polygon_region(np.eye(3))
+    crossing = (octant - cap_region([0, 0, 1], math.pi / 6)).arcs.corners
+    for corner in ([0.5, 0, math.sqrt(0.75)], [0, 0.5, math.sqrt(0.75)]):
+        assert np.linalg.norm(crossing - corner, axis=1).min() < 1e-15
+
+
 def test_a_small_polygon_sees_a_harmonic_as_constant(rng):
     size, center = 1e-7, random_directions(rng, 1)[0]
     plane = size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
