@@ -195,7 +195,29 @@ def _look(arcs: Arcs, pole: NDArray) -> _Seen:
     breaks = np.unique(found)
     breaks = breaks[np.append(True, np.diff(breaks) > 4.0 * _EPSILON * breaks[1:])]
     centers = np.arctan2(offsets[:, 1], offsets[:, 0])
-    return _Seen(arcs, frame, centers, differences, sums, low, high, breaks.tolist())
+    return _Seen(arcs, frame, centers, differences, sums, low, high, _grade(breaks))
+
+
+def _grade(breaks: NDArray) -> list[float]:
+    """More breaks between those that differ by far in their distance from the pole, or from its opposite.
+
+    An edge that passes at a distance d has a course that changes on the scale of the larger of d and θ. Rules of ever
+    more nodes on the whole of it agree before they see that: the share of what is near, about d², does not show.
+    """
+    graded = breaks.tolist()
+    for low, high in pairwise(breaks):
+        graded += _steps(low, high)
+        graded += [math.pi - distance for distance in _steps(math.pi - high, math.pi - low)]
+    return sorted(graded)
+
+
+def _steps(low: float, high: float) -> list[float]:
+    """Between the two, in steps of at most a factor of 16."""
+    if low <= 0.0:
+        return []
+    start, length = math.log(low), math.log(high) - math.log(low)
+    count = math.ceil(length / math.log(16.0))
+    return [math.exp(start + length * i / count) for i in range(1, count)]
 
 
 def _pick(arcs: Arcs, which: NDArray) -> Arcs:
@@ -272,25 +294,12 @@ def _refine(seen: _Seen, panel: _Panel, degree: int, tolerance: float, splits: i
     least = nodes_for(0.5 * math.pi * degree * (panel.high - panel.low))
     coarse, fine = (_sample(seen, panel, least + n) for n in (0, 12))
     # Azimuths up to 2π are rounded, each stretch has two.
-    rounding = 16.0 * math.pi * _EPSILON * float(fine.weights.sum()) * fine.widths.shape[1]
+    rounding = 4.0 * _EPSILON * float(fine.weights.sum()) * fine.widths.shape[1]
     if splits == 0 or abs(coarse.area - fine.area) <= tolerance + rounding:
         return [fine]
-    middle = _split(panel.low, panel.high)
+    middle = 0.5 * (panel.low + panel.high)
     parts = panel._replace(high=middle), panel._replace(low=middle)
     return [strip for part in parts for strip in _refine(seen, part, degree, tolerance, splits - 1)]
-
-
-def _split(low: float, high: float) -> float:
-    """The middle; of distances from a pole that differ by much, the geometric mean.
-
-    An edge that passes the pole at a distance d has a course that changes on the scale of the larger of d and θ: by
-    halves one of 1e-8 rad would not be reached.
-    """
-    if low > 0.0 and high > 4.0 * low:
-        return math.sqrt(low * high)
-    if high < math.pi and math.pi - low > 4.0 * (math.pi - high):
-        return math.pi - math.sqrt((math.pi - low) * (math.pi - high))
-    return 0.5 * (low + high)
 
 
 def _sample(seen: _Seen, panel: _Panel, count: int) -> Strip:
