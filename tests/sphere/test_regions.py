@@ -12,6 +12,7 @@ from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.sphere.quadrature import spherical_fibonacci
 from slepian_prt.sphere.regions import cap_region, mask_region, polygon_region, region_area
 from tests.conftest import random_directions
+from tests.numerics import assert_exact
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, math.pi))
@@ -109,6 +110,84 @@ def test_masks_that_wrap_and_fill_rows():
     assert region_area(~mask_region(mask)) == pytest.approx(4 * math.pi - exact, rel=1e-13)
 
 
+@pytest.mark.parametrize("kind", [bool, np.uint8, int, np.float32, float])
+def test_any_number_but_zero_is_inside(kind):
+    cells = np.array([[0, 2, 0, 1], [1, 0, 0, 0]])
+    region = mask_region(cells.astype(kind))
+    assert_exact(region.mask, cells > 0, "truth values")
+    assert region_area(region) == pytest.approx(3 * math.pi / 2, rel=1e-13)
+
+
+def test_fractions_and_negative_numbers_are_inside():
+    assert_exact(mask_region([[0.25, -3.0, 0.0, -0.0]]).mask, [[True, True, False, False]], "truth values")
+
+
+def test_a_mask_is_not_changed_from_outside():
+    cells = np.ones((2, 2), dtype=bool)
+    region = mask_region(cells)
+    cells[:] = False
+    assert region.mask.all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (6, 1), (2, 3)])
+def test_masks_of_few_rows_and_columns(shape):
+    full, none = mask_region(np.ones(shape)), mask_region(np.zeros(shape))
+    assert region_area(full) == region_area(~none) == pytest.approx(4 * math.pi, rel=1e-14)
+    assert region_area(none) == region_area(~full) == 0.0
+    first = np.zeros(shape)
+    first[0, 0] = 1
+    share = (1 - math.cos(math.pi / shape[0])) / 2 / shape[1]
+    basis = region_basis(4, mask_region(first))
+    assert basis.eigenvalues.sum() == pytest.approx(25 * share, rel=1e-12)
+
+
+@pytest.mark.parametrize("half_angle", [1e-9, 1e-8, 1e-5, 0.5 * math.pi, math.pi - 2.0**-30])
+def test_areas_of_tiny_caps_keep_their_digits(rng, half_angle):
+    cap = cap_region(random_directions(rng, 1)[0], half_angle)
+    assert region_area(cap) == pytest.approx(cap_area(half_angle), rel=1e-14, abs=0)
+    assert region_area(~cap) == pytest.approx(cap_area(math.pi - half_angle), rel=1e-14, abs=0)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-7, 1e-3])
+def test_tiny_regions_add_up(rng, size):
+    # A direction is good to 1e-16, so a boundary is to 1e-16 / size of it; a few roundings go into each.
+    plane = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    a, b = (
+        polygon_region(np.column_stack([size * (plane * scale + shift), np.ones(4)]) @ turn.T)
+        for scale, shift in ((1.0, 0.0), ((0.9, 0.7), (0.5, 0.4)))
+    )
+    cap = cap_region(turn[:, 2] + size * turn[:, 0], size)
+    far = cap_region(-turn[:, 1], size)
+    area = region_area(a)
+    for other in (b, cap, far):
+        union, common, rest = region_area(a | other), region_area(a & other), region_area(a - other)
+        assert union + common == pytest.approx(area + region_area(other), rel=3e-15 / size + 1e-11, abs=0)
+        assert rest + common == pytest.approx(area, rel=3e-15 / size + 1e-11, abs=0)
+    assert region_area(a & far) == 0.0
+    # In a larger region it is seen from its own middle, and loses nothing.
+    around = cap_region(turn[:, 2] + 0.3 * turn[:, 1], 0.5)
+    assert region_area(a & around) == pytest.approx(area, rel=1e-13 + (1e-15 / size) ** 1.5, abs=0)
+    assert region_area(around & a) == pytest.approx(area, rel=1e-13 + (1e-15 / size) ** 1.5, abs=0)
+    # Overlap of squares in the plane, but for the curvature of the sphere.
+    assert region_area(a & b) / area == pytest.approx((1.4 * 1.3) / 4, rel=3e-15 / size + 3 * size**2, abs=0)
+    assert region_area(a & cap) / area == pytest.approx(math.pi / 2 / 4, rel=3e-15 / size + 3 * size**2, abs=0)
+
+
+def test_polygons_that_share_edges():
+    def box(west, east):
+        lon, lat = np.radians([west, east, east, west]), np.radians([10, 10, 20, 20])
+        return polygon_region(np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]))
+
+    a, b = box(10, 20), box(20, 30)
+    assert region_area(a | b) == pytest.approx(region_area(a) + region_area(b), rel=1e-14)
+    assert region_area(a & b) == pytest.approx(0.0, abs=1e-16)
+    assert region_area(a - a) == 0.0
+    assert region_area(a | a) == pytest.approx(region_area(a), rel=1e-14)
+    assert region_area(a | ~a) == pytest.approx(4 * math.pi, rel=1e-14)
+
+
 def test_threshold():
     region = cap_region([0, 0, 1], 0.5)
     assert len(region_basis(10, region, threshold=0.01)) == int((cap_basis(10, 0.5).eigenvalues > 0.01).sum())
@@ -124,10 +203,17 @@ def test_whole_sphere():
     [
         (lambda: region_basis(3, mask_region(np.zeros((4, 8)))), "region must have an area above zero"),
         (lambda: region_basis(3, cap_region([0, 0, 1], 0.3) - cap_region([0, 0, 1], 0.4)), "area above zero"),
-        (lambda: polygon_region([[1, 0, 0], [0, 1, 0]]), "at least three directions, not 2"),
-        (lambda: polygon_region([[1, 0, 0], [1, 0, 0], [0, 1, 0]]), "neither equal nor opposite"),
+        (lambda: polygon_region([[1, 0, 0], [0, 1, 0]]), "at least three directions .* apart, not 2"),
         (lambda: polygon_region([[1, 0, 0], [0, 0, 0], [0, 1, 0]]), r"vertices\[1\] must be finite and not zero"),
         (lambda: mask_region(np.zeros(4)), r"mask must have shape \(H, W\)"),
+        (lambda: mask_region(np.zeros((4, 8, 3))), r"mask must have shape \(H, W\)"),
+        (lambda: mask_region(np.zeros((0, 8))), r"mask must have shape \(H, W\)"),
+        (lambda: mask_region([[1, 2], [3]]), "its rows differ in length"),
+        (lambda: mask_region([[0.0, 1.0], [1.0, np.nan]]), r"mask\[1, 1\] must be finite"),
+        (lambda: mask_region([[-np.inf, 1.0]]), r"mask\[0, 0\] must be finite"),
+        (lambda: mask_region(np.ma.array([[1.0, 2.0]], mask=[[False, True]])), r"mask\[0, 1\] must not be hidden"),
+        (lambda: mask_region([["inside"]]), "true and false, or numbers"),
+        (lambda: mask_region([[1j]]), "true and false, or numbers, not complex"),
         (lambda: cap_region([0, 0, 1], 4.0), "half_angle must be"),
     ],
 )
