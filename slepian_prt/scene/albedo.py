@@ -81,9 +81,7 @@ def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float3
     return np.clip(albedo, 0.0, 1.0).astype(np.float32), metallic
 
 
-def _filtered(
-    texture: Texture | None, uv: NDArray | None, is_srgb: bool, textures: Textures
-) -> FilteredTexture | None:
+def _filtered(texture: Texture | None, uv: NDArray | None, is_srgb: bool, textures: Textures) -> FilteredTexture | None:
     """The texture for lookups, decoded once; None without one, or if it cannot be used."""
     if texture is None or uv is None:
         return None

@@ -82,8 +82,8 @@ def make_polygon(vertices: ArrayLike) -> Polygon:
     Raises
     ------
     UserError
-        Fewer than three different vertices or more than 20,000, two successive ones opposite, or edges that cross,
-        touch or overlap.
+        Fewer than three vertices or more than 20,000, two successive ones equal or opposite, or edges that cross, touch
+        or overlap.
     """
     try:
         vertices = np.asarray(vertices, dtype=np.float64)
@@ -95,20 +95,24 @@ def make_polygon(vertices: ArrayLike) -> Polygon:
     corners = np.where(unit, vertices, corners)
     if len(corners) > LARGEST:
         raise UserError(f"vertices must hold at most {LARGEST} directions, not {len(corners)}; leave some out")
-    # A vertex repeated at once, or the first one again at the end, adds an edge of no length.
-    kept = np.flatnonzero(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1) > RESOLUTION)
-    if kept.size < 3:
-        raise UserError(f"vertices must hold at least three directions more than 1e-14 rad apart, not {kept.size}")
-    corners = corners[kept]
+    if len(corners) < 3:
+        raise UserError(f"vertices must hold at least three directions, not {len(corners)}")
+    repeated = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1) <= RESOLUTION
+    if repeated.any():
+        first = int(np.argmax(repeated))
+        ring = (
+            "; leave out the last vertex of a closed ring" if first == len(corners) - 1 else "; leave one of them out"
+        )
+        raise UserError(f"vertices[{first}] and vertices[{(first + 1) % len(corners)}] are equal{ring}")
     opposite = np.linalg.norm(np.roll(corners, -1, axis=0) + corners, axis=1) < 1e-9
     if opposite.any():
-        first, following = (kept[(int(np.argmax(opposite)) + step) % kept.size] for step in (0, 1))
+        first, following = ((int(np.argmax(opposite)) + step) % len(corners) for step in (0, 1))
         raise UserError(
             f"vertices[{first}] and vertices[{following}] must not be opposite: put one between them to say which way"
         )
     edges = _join(corners)
     middle = _middle(corners)
-    _check_simple(edges, middle, kept)
+    _check_simple(edges, middle)
     return _orient(edges, middle)
 
 
@@ -126,7 +130,7 @@ def _middle(corners: NDArray) -> NDArray[np.float64]:
     return mean / length if length > 0.05 else np.array([0.0, 0.0, 1.0])
 
 
-def _check_simple(edges: Edges, middle: NDArray, names: NDArray) -> None:
+def _check_simple(edges: Edges, middle: NDArray) -> None:
     """Compare each chunk of successive edges with those of the chunks whose bounding balls meet its own."""
     count = len(edges.starts)
     lengths = np.linalg.norm(edges.ends - edges.starts, axis=1)
@@ -142,10 +146,10 @@ def _check_simple(edges: Edges, middle: NDArray, names: NDArray) -> None:
     for i, chunk in enumerate(chunks):
         near = np.linalg.norm(centers[i:] - centers[i], axis=1) <= radii[i:] + radii[i] + RESOLUTION
         others = np.concatenate([chunks[i + int(j)] for j in np.flatnonzero(near)])
-        _check_pairs(edges, middle, chunk, others, names)
+        _check_pairs(edges, middle, chunk, others)
 
 
-def _check_pairs(edges: Edges, middle: NDArray, some: NDArray, others: NDArray, names: NDArray) -> None:
+def _check_pairs(edges: Edges, middle: NDArray, some: NDArray, others: NDArray) -> None:
     count = len(edges.starts)
     pairs = ((some, others), (others, some))
     for these, those in pairs:
@@ -155,7 +159,7 @@ def _check_pairs(edges: Edges, middle: NDArray, some: NDArray, others: NDArray, 
             edge, vertex = int(these[edge]), int(those[vertex])
             # Either edge of the vertex touches; after a spike one of them is the next to this edge's neighbour.
             other = (vertex - 1) % count if (edge + 2) % count == vertex else vertex
-            first, second = sorted((int(names[edge]), int(names[other])))
+            first, second = sorted((int(edge), int(other)))
             raise UserError(
                 f"the edges from vertices[{first}] and vertices[{second}] touch or overlap (within 1e-14 rad): cut the "
                 "polygon up there and combine the parts with | or -"
@@ -164,7 +168,7 @@ def _check_pairs(edges: Edges, middle: NDArray, some: NDArray, others: NDArray, 
     crossing = _cross(*first_sides, *(side.T for side in second_sides))
     if crossing.any():
         edge, other = (int(x[0]) for x in np.nonzero(crossing))
-        first, second = sorted((int(names[some[edge]]), int(names[others[other]])))
+        first, second = sorted((int(some[edge]), int(others[other])))
         raise UserError(
             f"the edges from vertices[{first}] and vertices[{second}] cross: list the vertices in the order in which "
             "they follow each other round the polygon"

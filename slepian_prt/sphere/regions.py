@@ -143,13 +143,13 @@ def polygon_region(vertices: ArrayLike) -> CircleRegion:
     Parameters
     ----------
     vertices : (n, 3), 3 <= n <= 20,000
-        Joined by the shorter arcs of great circles; the last to the first. They need not have unit length. One that
-        repeats the one before it is left out, and so is the first if it is repeated at the end.
+        Joined by the shorter arcs of great circles; the last to the first. They need not have unit length. Each
+        is named once: the last vertex of a closed ring is left out.
 
     Raises
     ------
     UserError
-        Fewer than three different vertices, two successive ones opposite, or edges that cross, touch or overlap: that
+        Fewer than three vertices, two successive ones equal or opposite, or edges that cross, touch or overlap: that
         come within 1e-14 radians of each other, where the digits of float64 end.
     """
     polygon = make_polygon(vertices)

@@ -203,7 +203,7 @@ def test_whole_sphere():
     [
         (lambda: region_basis(3, mask_region(np.zeros((4, 8)))), "region must have an area above zero"),
         (lambda: region_basis(3, cap_region([0, 0, 1], 0.3) - cap_region([0, 0, 1], 0.4)), "area above zero"),
-        (lambda: polygon_region([[1, 0, 0], [0, 1, 0]]), "at least three directions .* apart, not 2"),
+        (lambda: polygon_region([[1, 0, 0], [0, 1, 0]]), "at least three directions, not 2"),
         (lambda: polygon_region([[1, 0, 0], [0, 0, 0], [0, 1, 0]]), r"vertices\[1\] must be finite and not zero"),
         (lambda: mask_region(np.zeros(4)), r"mask must have shape \(H, W\)"),
         (lambda: mask_region(np.zeros((4, 8, 3))), r"mask must have shape \(H, W\)"),
