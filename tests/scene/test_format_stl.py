@@ -87,6 +87,11 @@ def test_neither_thin_triangles_nor_chains_collapse(tmp_path):
     assert len(part.positions) > 4
 
 
+@pytest.mark.parametrize("content", [binary([]), text([])])
+def test_a_file_of_no_triangles_has_no_faces(tmp_path, content):
+    assert read(tmp_path, content).faces.shape == (0, 3)
+
+
 def test_a_degenerate_triangle_is_left_to_the_checks(tmp_path):
     part = read(tmp_path, binary(np.concatenate([CORNERS, CORNERS[:1, [0, 0, 1]]])))
     assert len(part.faces) == len(FACES) + 1

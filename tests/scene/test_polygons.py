@@ -62,6 +62,9 @@ SIMPLE = {
     "keyhole": np.array(
         [[0.0, 0], [4, 0], [4, 4], [0, 4], [0, 0], [1, 1], [1, 3], [3, 3], [3, 1], [1, 1]]
     ) @ np.eye(2, 3),
+    "points on a side": np.array(
+        [[1.5, -1.5], [2.75, 1.25], [2.25, 1.0625], [1.75, 0.875], [0.75, 0.5], [1.5, 1.25], [-2, -2.25]]
+    ) @ np.eye(2, 3),
     **{f"gear{n}": gear(n, n) for n in (5, 6, 9, 30)},
 }  # fmt: skip
 
@@ -121,6 +124,12 @@ def test_polygons_that_are_none_do_no_harm(polygon):
     assert 1 < len(triangles) <= len(polygon) - 1
     assert triangles.max() == len(polygon) + 2
     assert owners[-1] == 1
+
+
+def test_no_part_of_a_star_runs_backwards():
+    corners, triangles, _ = cut(regular(5)[[0, 2, 4, 1, 3]])
+    assert len(triangles) > 1
+    assert area(corners)[:, 2].min() > 0.9
 
 
 def test_repeated_corners_count_once():

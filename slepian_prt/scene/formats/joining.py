@@ -16,7 +16,7 @@ def join_equal(*columns: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]
 
     Parameters
     ----------
-    *columns : (N, …) arrays
+    *columns : (N, k) arrays
         Side by side.
 
     Returns
@@ -26,7 +26,7 @@ def join_equal(*columns: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]
     joined : (N,) int64
         The number of each row among those.
     """
-    rows = np.concatenate([np.asarray(c, dtype=np.float64).reshape(len(c), -1) for c in columns], axis=1) + 0.0
+    rows = np.concatenate(columns, axis=1, dtype=np.float64) + 0.0
     bits = rows.view(np.uint64)
     keys = np.zeros(len(rows), dtype=np.uint64)
     for column in bits.T:

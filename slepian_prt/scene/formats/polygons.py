@@ -141,8 +141,6 @@ def _clip_ears(flat: NDArray[np.float64], fan: NDArray[np.int64]) -> NDArray[np.
     triangles = mapbox_earcut.triangulate_float64(np.ascontiguousarray(flat), ends).reshape(-1, 3).astype(np.int64)
     if not len(triangles):
         return fan
-    if _areas(flat, triangles).sum() < 0:
-        triangles = triangles[:, ::-1]
     missing = np.setdiff1d(np.arange(len(flat)), triangles)
     return _with_corners(flat, triangles, missing) if missing.size else triangles
 
