@@ -100,10 +100,8 @@ def make_polygon(vertices: ArrayLike) -> Polygon:
     repeated = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1) <= RESOLUTION
     if repeated.any():
         first = int(np.argmax(repeated))
-        ring = (
-            "; leave out the last vertex of a closed ring" if first == len(corners) - 1 else "; leave one of them out"
-        )
-        raise UserError(f"vertices[{first}] and vertices[{(first + 1) % len(corners)}] are equal{ring}")
+        which = "the last vertex of a closed ring" if first == len(corners) - 1 else "one of them"
+        raise UserError(f"vertices[{first}] and vertices[{(first + 1) % len(corners)}] are equal; leave out {which}")
     opposite = np.linalg.norm(np.roll(corners, -1, axis=0) + corners, axis=1) < 1e-9
     if opposite.any():
         first, following = ((int(np.argmax(opposite)) + step) % len(corners) for step in (0, 1))
