@@ -25,7 +25,7 @@ from scipy import fft
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.texel_projection import legendre_on_rings, legendre_spread, legendre_sum
-from slepian_prt.sphere.harmonics import num_coefficients, real_sh
+from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.sphere.rotation import rotate_sh
 
 # Rings of the sky between zenith and horizon, and directions on each.
@@ -39,6 +39,9 @@ _MET = 0.05
 
 # Directions whose harmonics are evaluated at a time.
 _BLOCK = 4096
+
+# Columns: where the axes of a map (y up) go in the sky's frame (z up).
+MAP_TO_SKY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 Evaluate = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -126,11 +129,11 @@ class SkyQuadrature:
 
     def project(self, samples: NDArray, bandlimit: int, turn: NDArray[np.float64]) -> NDArray[np.float64]:
         """(C, (L+1)²) coefficients of radiance (N, C) in `directions`, with the light turned."""
-        rings, disk, beside = np.split(samples.astype(np.float64), self._ends)
+        rings = samples[: _RINGS * _AZIMUTHS].astype(np.float64)
         spectrum = fft.rfft(rings.reshape(_RINGS, _AZIMUTHS, -1), axis=1)
         spectrum = _padded(spectrum, bandlimit) * (2.0 * np.pi / _AZIMUTHS)
         coefficients = legendre_sum(spectrum, _ring_legendre(bandlimit))
-        flux = (disk - beside) * self.disk.solid_angles[:, None]
+        flux = self.disk_flux(samples)
         for begin in range(0, len(flux), _BLOCK):
             part = slice(begin, begin + _BLOCK)
             coefficients += flux[part].T @ real_sh(bandlimit, self.disk.directions[part])
@@ -151,10 +154,10 @@ class SkyQuadrature:
         disk *= self.disk.solid_angles[:, None]
         return np.concatenate([rings, disk, -disk])
 
-    @property
-    def _ends(self) -> list[int]:
-        count = _RINGS * _AZIMUTHS
-        return [count, count + len(self.disk.directions)]
+    def disk_flux(self, samples: NDArray) -> NDArray[np.float64]:
+        """(n, C) irradiance from each point of the disk, less what the sky around it would send."""
+        disk, beside = np.split(samples[_RINGS * _AZIMUTHS :].astype(np.float64), 2)
+        return (disk - beside) * self.disk.solid_angles[:, None]
 
 
 # --- The emitter -----------------------------------------------------------------------------------------------------
