@@ -24,7 +24,7 @@ BRIGHTEST = 1e18
 _FROM, _TO, _STEP = 360.0, 830.0, 5.0
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, kw_only=True)
 class SkyEnvironment(Environment):
     """The light of a ``sunsky``. Its texels have the sun's power too, but its coefficients come from the sky itself.
 
@@ -37,9 +37,9 @@ class SkyEnvironment(Environment):
         What to trace for a reference; None if the light was turned.
     """
 
-    quadrature: SkyQuadrature = None  # type: ignore[assignment]
-    samples: NDArray[np.float64] = None  # type: ignore[assignment]
-    emitter: Any = None
+    quadrature: SkyQuadrature
+    samples: NDArray[np.float64]
+    emitter: Any
 
     def rotated(self, degrees: float) -> Environment:
         """Turned counter-clockwise about the world's up axis y."""
@@ -66,7 +66,9 @@ def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
         quadrature, samples = _sampled_sky(mi, emitter, origin)
         texels = sky_texels(quadrature, samples, lambda directions: evaluate(mi, emitter, directions))
         made = _checked(texels, origin, quadrature.frame @ MAP_TO_SKY, emitter)
-        return SkyEnvironment(made.name, made.texels, made.to_world, 0, quadrature, samples, emitter)
+        return SkyEnvironment(
+            made.name, made.texels, made.to_world, quadrature=quadrature, samples=samples, emitter=emitter
+        )
     if is_envmap(emitter) and not mi.is_spectral:
         parameters = mi.traverse(emitter)
         # Mitsuba repeats the last column before the first, and the first behind the last.
