@@ -22,10 +22,12 @@ def lights_of(scene: Scene, environments: Sequence[Environment]) -> tuple[Enviro
     Raises
     ------
     UserError
-        There is neither.
+        There is neither, or the scene's own light is black.
     """
     if environments:
         return tuple(environments)
     if scene.environment is None:
         raise UserError(f"{scene.path}: the scene has no distant light of its own; name a map with `environment`")
+    if not scene.environment.texels.any():
+        raise UserError(f"{scene.path}: the scene's own distant light is black; name a map with `environment`")
     return (scene.environment,)

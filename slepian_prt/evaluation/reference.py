@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.lighting.emitters import SkyEnvironment
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.relighting.pictures import Picture, split_alpha
 from slepian_prt.scene.scene import Scene, mitsuba_scene
@@ -43,8 +44,10 @@ class ReferenceVertices:
     seconds: float
 
 
-def environment_emitter(mi: Any, environment: Environment) -> dict[str, Any]:
-    """Mitsuba's ``envmap`` of a map, for `mi.load_dict`."""
+def environment_emitter(mi: Any, environment: Environment) -> Any:
+    """What to trace in a Mitsuba scene: the scene's own sky as it is, else the ``envmap`` of a map, for `load_dict`."""
+    if isinstance(environment, SkyEnvironment) and environment.emitter is not None:
+        return environment.emitter
     matrix = np.eye(4)
     matrix[:3, :3] = environment.to_world
     return {
@@ -70,7 +73,9 @@ def render_reference(
     mi = scene.mi
     started = time.perf_counter()
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
-    emitter = mi.load_dict(environment_emitter(mi, environment))
+    emitter = environment_emitter(mi, environment)
+    if isinstance(emitter, dict):
+        emitter = mi.load_dict(emitter)
 
     def half(samples: int, seed: int) -> NDArray[np.float64]:
         # Stratified samplers halve the noise of independent ones at the same cost, if they know the count.

@@ -1,4 +1,4 @@
-"""Mitsuba's environment emitters as maps."""
+"""Mitsuba's environment emitters as distant light: as maps, and as spherical harmonics."""
 
 from __future__ import annotations
 
@@ -9,35 +9,149 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.environment import Environment, make_environment
+from slepian_prt.lighting.environment import Environment, about_up
+from slepian_prt.lighting.sky import MAP_TO_SKY, SkyQuadrature, is_sky, sky_quadrature
+from slepian_prt.lighting.sky_map import sky_texels
+from slepian_prt.lighting.texel_projection import TexelProjection
 
-# Grid that a sky without texels is evaluated on: rows, and strata each way per texel.
-_SKY_ROWS, _SKY_STRATA = 512, 4
+# Grid that an emitter of unknown kind is evaluated on: rows, and strata each way per texel.
+_ROWS, _STRATA = 512, 4
+
+# Brighter radiance, squared in a mean, or summed over many texels, leaves the range of single precision.
+BRIGHTEST = 1e18
+
+# Wavelengths, in nm, that spectra are integrated at.
+_FROM, _TO, _STEP = 360.0, 830.0, 5.0
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class SkyEnvironment(Environment):
+    """The light of a ``sunsky``. Its texels have the sun's power too, but its coefficients come from the sky itself.
+
+    Attributes
+    ----------
+    quadrature : SkyQuadrature
+    samples : (N, 3) float64
+        Radiance in its directions. Colours that sRGB has not keep their negative parts, as Mitsuba lights with them.
+    emitter : Mitsuba emitter or None
+        What to trace for a reference; None if the light was turned.
+    """
+
+    quadrature: SkyQuadrature
+    samples: NDArray[np.float64]
+    emitter: Any
+
+    def rotated(self, degrees: float) -> Environment:
+        """Turned counter-clockwise about the world's up axis y."""
+        return replace(self, to_world=about_up(degrees) @ self.to_world, emitter=None)
+
+    def project(self, bandlimit: int, turn: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3, (L+1)²) coefficients of the light, turned."""
+        so_far = self.to_world @ MAP_TO_SKY.T @ self.quadrature.frame.T
+        return self.quadrature.project(self.samples, bandlimit, turn @ so_far)
 
 
 def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
     """A Mitsuba environment emitter (``envmap``, ``constant``, ``sunsky``, …) as a map.
 
-    The texels of an ``envmap`` are taken as they are, with its scale and ``to_world``; others are averaged over each
-    texel of a fixed grid, finely enough that the sun keeps its power.
-    """
-    import drjit as dr
+    The texels of an ``envmap`` are taken as they are, with its scale and ``to_world``, whatever its shape; a
+    ``sunsky`` becomes a `SkyEnvironment`; others are averaged over each texel of a fixed grid.
 
-    if is_envmap(emitter):
+    Raises
+    ------
+    UserError
+        Radiance that is not finite or too bright, or a ``to_world`` that scales or shears.
+    """
+    if is_sky(emitter):
+        quadrature, samples = _sampled_sky(mi, emitter, origin)
+        texels = sky_texels(quadrature, samples, lambda directions: evaluate(mi, emitter, directions))
+        made = _checked(texels, origin, quadrature.frame @ MAP_TO_SKY, emitter)
+        return SkyEnvironment(
+            made.name, made.texels, made.to_world, quadrature=quadrature, samples=samples, emitter=emitter
+        )
+    if is_envmap(emitter) and not mi.is_spectral:
         parameters = mi.traverse(emitter)
         # Mitsuba repeats the last column before the first, and the first behind the last.
         texels = np.array(parameters["data"])[:, 1:-1, :3] * float(np.ravel(parameters["scale"])[0])
         mirrored, world = envmap_rotation(parameters["to_world"], origin)
-        made = make_environment(
-            texels[:, ::-1] if mirrored else texels, name="scene", origin=f"{origin}: envmap", clamp_negative=True
+        return _checked(texels[:, ::-1] if mirrored else texels, origin, world, emitter)
+    grid = texel_grid(mi, emitter, origin)
+    return _checked(grid.averaged(evaluate(mi, emitter, grid.directions)), origin, grid.to_world, emitter)
+
+
+def project_emitter(
+    mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64], origin: str
+) -> tuple[NDArray[np.float64], int]:
+    """(3, (L+1)²) coefficients of an environment emitter, turned, and how many negative texels were set to zero."""
+    if is_sky(emitter):
+        quadrature, samples = _sampled_sky(mi, emitter, origin)
+        return quadrature.project(samples, bandlimit, turn), 0
+    made = emitted_environment(mi, emitter, origin)
+    height, width = made.texels.shape[:2]
+    return TexelProjection(height, width, bandlimit, turn @ made.to_world)(made.texels), made.clamped
+
+
+def _sampled_sky(mi: Any, emitter: Any, origin: str) -> tuple[SkyQuadrature, NDArray[np.float64]]:
+    quadrature = sky_quadrature(mi, emitter, lambda directions: evaluate(mi, emitter, directions), origin)
+    return quadrature, check_radiance(evaluate(mi, emitter, quadrature.directions), _named(origin, emitter))
+
+
+def _checked(texels: NDArray, origin: str, to_world: NDArray[np.float64], emitter: Any) -> Environment:
+    """Texels of any shape as an `Environment`, what is negative set to zero and counted."""
+    texels = check_radiance(np.asarray(texels, dtype=np.float32), _named(origin, emitter))
+    clamped = int((texels < 0.0).any(axis=2).sum())
+    return Environment("scene", np.maximum(texels, np.float32(0.0)), to_world, clamped)
+
+
+def _named(origin: str, emitter: Any) -> str:
+    return f"{origin}: {'envmap' if is_envmap(emitter) else emitter.class_name()}"
+
+
+def check_radiance(radiance: NDArray, origin: str) -> NDArray:
+    """The same radiance.
+
+    Raises
+    ------
+    UserError
+        Not finite, or brighter than `BRIGHTEST`.
+    """
+    if not np.all(np.isfinite(radiance)):
+        raise UserError(f"{origin}: its radiance is NaN or infinite somewhere; repair the light")
+    if (brightest := float(np.abs(radiance).max(initial=0.0))) > BRIGHTEST:
+        raise UserError(
+            f"{origin}: its radiance is up to {brightest:.3g}, more than can be computed with ({BRIGHTEST:.0e}); scale "
+            "it down"
         )
-        return replace(made, to_world=world)
-    grid = sky_grid(mi, emitter, origin)
-    si = dr.zeros(mi.SurfaceInteraction3f, len(grid.directions))
-    si.wi = -mi.Vector3f(grid.directions.T.astype(np.float32))
-    radiance = np.broadcast_to(np.array(emitter.eval(si)).T, (len(grid.directions), 3))
-    texels = grid.averaged(radiance)
-    return make_environment(texels, name="scene", origin=f"{origin}: {emitter.class_name()}", clamp_negative=True)
+    return radiance
+
+
+def evaluate(mi: Any, emitter: Any, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) linear sRGB radiance of an environment emitter in directions (n, 3) of the world."""
+    import drjit as dr
+
+    si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
+    si.wi = -mi.Vector3f(directions.T.astype(np.float32))
+    with dr.suspend_grad():
+        srgb = np.array(emitted_srgb(mi, emitter, si), dtype=np.float64)
+    # What is the same in all directions comes as one number.
+    return np.array(np.broadcast_to(srgb.T, (len(directions), 3)))
+
+
+def emitted_srgb(mi: Any, emitter: Any, si: Any) -> Any:
+    """Linear sRGB (Color3f) of the radiance that comes from where ``si`` looks, in any variant."""
+    if not mi.is_spectral:
+        radiance = mi.unpolarized_spectrum(emitter.eval(si))
+        return mi.Color3f(radiance) if mi.is_rgb else mi.Color3f(radiance[0])
+    xyz = mi.Color3f(0.0)
+    count = len(si.wavelengths)
+    wavelengths = np.arange(_FROM + 0.5 * _STEP, _TO, _STEP)
+    for begin in range(0, wavelengths.size, count):
+        some = wavelengths[begin : begin + count]
+        si.wavelengths = type(si.wavelengths)(np.resize(some, count).tolist())
+        radiance = mi.unpolarized_spectrum(emitter.eval(si))
+        for i in range(some.size):
+            xyz += radiance[i] * mi.cie1931_xyz(si.wavelengths[i]) * _STEP
+    return mi.xyz_to_srgb(xyz)
 
 
 def is_envmap(emitter: Any) -> bool:
@@ -66,8 +180,8 @@ def envmap_rotation(to_world: Any, origin: str) -> tuple[bool, NDArray[np.float6
 
 
 @dataclass(frozen=True)
-class SkyGrid:
-    """Directions that a sky is evaluated in, some for each texel of a map.
+class TexelGrid:
+    """Directions that an emitter is evaluated in, some for each texel of a map.
 
     Attributes
     ----------
@@ -100,7 +214,7 @@ class SkyGrid:
         return np.asarray(self.solid_angles / self.solid_angles.sum(axis=2, keepdims=True))
 
 
-def sky_grid(mi: Any, emitter: Any, origin: str) -> SkyGrid:
+def texel_grid(mi: Any, emitter: Any, origin: str) -> TexelGrid:
     """The grid for an environment emitter: an ``envmap``'s own texels, few for what is constant, else a fine one."""
     world, finer = np.eye(3), 1
     if is_envmap(emitter):
@@ -110,7 +224,7 @@ def sky_grid(mi: Any, emitter: Any, origin: str) -> SkyGrid:
     elif emitter.class_name() == "ConstantBackgroundEmitter":
         height, width = 3, 6
     else:
-        height, width, finer = _SKY_ROWS, 2 * _SKY_ROWS, _SKY_STRATA
+        height, width, finer = _ROWS, 2 * _ROWS, _STRATA
     # Row r is centred on v = r/(H-1), column c on (c + 1/2)/W; the first and last row are half cells at the poles.
     row, column, i, j = np.meshgrid(
         np.arange(height), np.arange(width), np.arange(finer), np.arange(finer), indexing="ij", sparse=True
@@ -122,4 +236,4 @@ def sky_grid(mi: Any, emitter: Any, origin: str) -> SkyGrid:
     towards = [np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta)]
     directions = np.stack([np.broadcast_to(axis, shape).ravel() for axis in towards], axis=1)
     solid = np.broadcast_to(np.maximum(np.sin(theta), 1e-6), shape).reshape(height, width, -1)
-    return SkyGrid(height, width, directions @ world.T, world, solid)
+    return TexelGrid(height, width, directions @ world.T, world, solid)

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit
-from slepian_prt.lighting.emitters import emitted_environment
+from slepian_prt.lighting.emitters import SkyEnvironment, project_emitter
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
+from slepian_prt.sphere.harmonics import num_coefficients
 
 
 def project_environment(
@@ -58,9 +59,11 @@ def project_checked(
     """`project_environment`, and how many negative texels were set to zero."""
     turn = rotation_matrix(rotate)
     if hasattr(environment, "is_environment"):
-        environment = _of_emitter(environment)
+        return _of_emitter(environment, bandlimit, turn)
     if isinstance(environment, str | Path):
         rows = file_rows(environment)
+    elif isinstance(environment, SkyEnvironment):
+        return environment.project(bandlimit, turn), environment.clamped
     elif isinstance(environment, Environment):
         height, width = environment.texels.shape[:2]
         projection = TexelProjection(height, width, bandlimit, turn @ environment.to_world)
@@ -72,6 +75,50 @@ def project_checked(
     checked = Checked(rows, clamp_negative)
     lighting = TexelProjection(rows.height, rows.width, bandlimit, turn).of_rows(checked)
     return lighting, checked.clamped
+
+
+def lighting_at(
+    light: Environment | str | Path | ArrayLike | Any, bandlimit: int, *, clamp_negative: bool = False
+) -> NDArray[np.float64]:
+    """Coefficients at a bandlimit of any light: of what `project_environment` takes, or given as coefficients.
+
+    Parameters
+    ----------
+    light : coefficients (3, (L+1)²) or (B, 3, (L+1)²), or as for `project_environment`
+        An array is taken for coefficients if its last two axes say so. A map cannot have such a shape: its last axis
+        has one or three entries, the coefficients of degree 0 have one, and three rows of a map are six wide.
+    bandlimit : int
+    clamp_negative : bool
+        Of a path or an array of texels: see `project_environment`.
+
+    Returns
+    -------
+    (3, (L+1)²) or (B, 3, (L+1)²) float64
+
+    Raises
+    ------
+    UserError
+        As `project_environment`, and what is neither.
+    """
+    bandlimit = check_bandlimit(bandlimit)
+    if isinstance(light, str | Path | Environment) or hasattr(light, "is_environment"):
+        return project_environment(light, bandlimit, clamp_negative=clamp_negative)
+    try:
+        values = np.asarray(light, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError(
+            f"light must be a path, an `Environment`, an array or an emitter, not {type(light).__name__}"
+        ) from None
+    wanted = (3, num_coefficients(bandlimit))
+    if values.ndim in (2, 3) and values.shape[-2:] == wanted and values.size:
+        if not np.all(np.isfinite(values)):
+            raise UserError("lighting must be finite; check the map that it was projected from")
+        return values
+    if values.ndim == 3 and values.shape[1] == 2 * values.shape[0] and values.shape[2] in (1, 3):
+        return project_environment(light, bandlimit, clamp_negative=clamp_negative)
+    raise UserError(
+        f"lighting must have shape {wanted} for bandlimit {bandlimit}, or that of a map, (H, 2H, 3), not {values.shape}"
+    )
 
 
 def rotation_matrix(rotate: float | ArrayLike) -> NDArray[np.float64]:
@@ -97,9 +144,9 @@ def rotation_matrix(rotate: float | ArrayLike) -> NDArray[np.float64]:
     return matrix
 
 
-def _of_emitter(emitter: Any) -> Environment:
+def _of_emitter(emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     if not emitter.is_environment():
         raise UserError(f"emitter {emitter.class_name()} is no distant light; give an envmap, a sunsky or a constant")
     import mitsuba as mi
 
-    return emitted_environment(mi, emitter, "emitter")
+    return project_emitter(mi, emitter, bandlimit, turn, "emitter")

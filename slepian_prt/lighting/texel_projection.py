@@ -8,7 +8,7 @@ the last row sit on the poles, half a row off the usual convention.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh
 
-# Rows per degree below which bilinear interpolation matters, and is carried out.
+# Rows per degree, and columns per order by half, below which bilinear interpolation matters, and is carried out.
 _ROWS_PER_DEGREE = 8
 
 # Texels that are transformed at a time.
@@ -35,12 +35,12 @@ class TexelProjection:
     """The linear map from texels to spherical-harmonic coefficients in the world.
 
     An FFT along each row and a Legendre sum over the rows; Clenshaw–Curtis weights make it exact for maps that are
-    bandlimited themselves. Maps of fewer than 8 rows per degree are interpolated first, as Mitsuba would.
+    bandlimited themselves. Maps of fewer than 8 rows or 16 columns per degree are interpolated first, as Mitsuba would.
 
     Attributes
     ----------
     height, width : int
-        Of the map, at least two rows.
+        Of the map: of any shape, with two rows at least.
     bandlimit : int
     to_world : (3, 3)
         Rotation from the map's frame (y up) to the world.
@@ -76,29 +76,16 @@ class TexelProjection:
         assert done == height
         # ∫ f(φ') e^{-imφ'} dφ' with φ' = -2π(c + ½)/W, the azimuth in the map's frame.
         moments = np.conj(moments * self._phases[:, None])
-        coefficients = np.zeros((moments.shape[2], num_coefficients(self.bandlimit)))
-        for order, legendre in enumerate(_weighted_legendre(self.bandlimit, height)):
-            # Real and imaginary part side by side: one real product instead of a complex one.
-            pairs = np.concatenate([moments[:, order].real, moments[:, order].imag], axis=1)
-            real, imaginary = np.split((legendre @ pairs).T, 2)
-            l = np.arange(order, self.bandlimit + 1)
-            coefficients[:, l * l + l + order] = real
-            if order:
-                coefficients[:, l * l + l - order] = -imaginary
-        return rotate_sh(coefficients, self.to_world @ _MAP_TO_WORLD)
+        legendre = _weighted_legendre(self.bandlimit, height)
+        return rotate_sh(legendre_sum(moments, legendre), self.to_world @ _MAP_TO_WORLD)
 
     def adjoint(self, coefficients: NDArray) -> NDArray[np.float64]:
         """(H, W, C) texels from coefficients (C, (L+1)²): the transpose, what gradients go back through."""
         height, width = self._grid
         in_map = rotate_sh(np.asarray(coefficients, dtype=np.float64), (self.to_world @ _MAP_TO_WORLD).T)
+        moments = legendre_spread(in_map, _weighted_legendre(self.bandlimit, height))
         spectrum = np.zeros((height, width // 2 + 1, len(in_map)), dtype=np.complex128)
-        for order, legendre in enumerate(_weighted_legendre(self.bandlimit, height)):
-            l = np.arange(order, self.bandlimit + 1)
-            moments = (legendre.T @ in_map[:, l * l + l + order].T).astype(np.complex128)
-            if order:
-                moments -= 1j * (legendre.T @ in_map[:, l * l + l - order].T)
-            spectrum[:, order] = np.conj(moments)
-        spectrum[:, : self.bandlimit + 1] *= np.conj(self._phases)[:, None]
+        spectrum[:, : self.bandlimit + 1] = np.conj(moments * self._phases[:, None])
         # The transpose of the real part of an FFT: an inverse FFT without its 1/W, half of each m > 0.
         spectrum[:, 1 : self.bandlimit + 1] *= 0.5
         texels = fft.irfft(spectrum, n=width, axis=1, workers=-1, norm="forward")
@@ -109,15 +96,14 @@ class TexelProjection:
 
     @staticmethod
     def enough_rows(height: int, bandlimit: int) -> bool:
-        """Whether a map of this height is projected without interpolation."""
+        """Whether a map of this height, and twice as wide, is projected without interpolation."""
         return height >= _ROWS_PER_DEGREE * (bandlimit + 1) + 1
 
     @cached_property
     def _grid(self) -> tuple[int, int]:
-        if self.enough_rows(self.height, self.bandlimit):
-            return self.height, self.width
-        factor = math.ceil((_ROWS_PER_DEGREE * (self.bandlimit + 1) + 1) / self.height)
-        return factor * self.height + 1, factor * self.width
+        rows = _ROWS_PER_DEGREE * (self.bandlimit + 1) + 1
+        height = self.height if self.height >= rows else math.ceil(rows / self.height) * self.height + 1
+        return height, math.ceil(2 * rows / self.width) * self.width
 
     @cached_property
     def _finer(self) -> tuple[csr_array, csr_array] | None:
@@ -132,6 +118,48 @@ class TexelProjection:
         width = self._grid[1]
         m = np.arange(self.bandlimit + 1)
         return np.exp(-1j * np.pi * m / width) * (2.0 * np.pi / width)
+
+
+def legendre_sum(moments: NDArray[np.complex128], legendre: Sequence[NDArray]) -> NDArray[np.float64]:
+    """Coefficients (C, (L+1)²) of what has the Fourier coefficients ∫ f e^{-imφ} dφ on rings about the pole.
+
+    Parameters
+    ----------
+    moments : (rings, L+1, C)
+    legendre : for each order m, (L+1-m, rings)
+        Normalised Legendre functions times the weights of the rings.
+    """
+    bandlimit = len(legendre) - 1
+    coefficients = np.zeros((moments.shape[2], num_coefficients(bandlimit)))
+    for order, functions in enumerate(legendre):
+        # Real and imaginary part side by side: one real product instead of a complex one.
+        pairs = np.concatenate([moments[:, order].real, moments[:, order].imag], axis=1)
+        real, imaginary = np.split((functions @ pairs).T, 2)
+        l = np.arange(order, bandlimit + 1)
+        coefficients[:, l * l + l + order] = real
+        if order:
+            coefficients[:, l * l + l - order] = -imaginary
+    return coefficients
+
+
+def legendre_spread(coefficients: NDArray, legendre: Sequence[NDArray]) -> NDArray[np.complex128]:
+    """(rings, L+1, C) moments from coefficients (C, (L+1)²): the transpose of `legendre_sum`."""
+    bandlimit = len(legendre) - 1
+    moments = np.zeros((legendre[0].shape[1], bandlimit + 1, len(coefficients)), dtype=np.complex128)
+    for order, functions in enumerate(legendre):
+        l = np.arange(order, bandlimit + 1)
+        moments[:, order] = functions.T @ coefficients[:, l * l + l + order].T
+        if order:
+            moments[:, order] -= 1j * (functions.T @ coefficients[:, l * l + l - order].T)
+    return moments
+
+
+def legendre_on_rings(
+    bandlimit: int, polar_angles: NDArray[np.float64], weights: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """For each order, (L+1-m, rings): normalised Legendre functions at polar angles times the weights of the rings."""
+    cosine, sine = np.cos(polar_angles), np.sin(polar_angles)
+    return [legendre_polynomials(bandlimit, order, cosine) * sine**order * weights for order in range(bandlimit + 1)]
 
 
 def interpolation(height: int, width: int, new_height: int, new_width: int) -> tuple[csr_array, csr_array]:
@@ -165,13 +193,8 @@ def _along(matrix: csr_array, texels: NDArray, axis: int) -> NDArray[np.float64]
 
 @lru_cache(maxsize=4)
 def _weighted_legendre(bandlimit: int, height: int) -> list[NDArray[np.float64]]:
-    """For each order, (L+1-m, H): normalised Legendre functions at the rows times the weights of the rows."""
-    theta = np.linspace(0.0, np.pi, height)
-    weights = clenshaw_curtis(height - 1)
-    return [
-        legendre_polynomials(bandlimit, order, np.cos(theta)) * np.sin(theta) ** order * weights
-        for order in range(bandlimit + 1)
-    ]
+    """`legendre_on_rings` of the rows of a map."""
+    return legendre_on_rings(bandlimit, np.linspace(0.0, np.pi, height), clenshaw_curtis(height - 1))
 
 
 def clenshaw_curtis(n: int) -> NDArray[np.float64]:

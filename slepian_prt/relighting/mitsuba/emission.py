@@ -8,10 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.emitters import envmap_rotation, is_envmap, sky_grid
+from slepian_prt.lighting.emitters import (
+    check_radiance,
+    emitted_srgb,
+    envmap_rotation,
+    evaluate,
+    is_envmap,
+    texel_grid,
+)
+from slepian_prt.lighting.sky import is_sky, sky_quadrature
 from slepian_prt.lighting.texel_projection import TexelProjection
 from slepian_prt.relighting.mitsuba.linear_op import linear_op
-from slepian_prt.relighting.mitsuba.spectra import emitted_srgb
 
 
 def distant_light(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> Any:
@@ -28,8 +35,10 @@ def distant_light(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float6
     Raises
     ------
     UserError
-        Texels that are not finite, or a ``to_world`` that shears.
+        Radiance that is not finite or too bright, a ``to_world`` that shears, or gradients asked of where the sun is.
     """
+    if is_sky(emitter):
+        return _project_sky(mi, emitter, bandlimit, turn)
     if is_envmap(emitter) and not mi.is_spectral:
         return _project_texels(mi, emitter, bandlimit, turn)
     return _project_samples(mi, emitter, bandlimit, turn)
@@ -49,7 +58,7 @@ def _project_texels(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.floa
     def project(texels: NDArray) -> NDArray:
         # Mitsuba repeats the last column before the first, and the first behind the last.
         stored = texels.reshape(height, stored_width, channels)
-        return projection(_check_finite(stored[:, 1:-1])[:, columns])
+        return projection(check_radiance(stored[:, 1:-1], "envmap")[:, columns])
 
     def adjoint(coefficients: NDArray) -> NDArray:
         stored = np.zeros((height, stored_width, channels), dtype=np.float32)
@@ -59,27 +68,44 @@ def _project_texels(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.floa
     return linear_op(project, adjoint, data, mi.Float) * dr.ravel(mi.Float(parameters["scale"]))
 
 
-def _project_samples(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> Any:
-    """Of any environment emitter, evaluated on a grid of directions."""
+def _project_sky(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> Any:
+    """Of a ``sunsky``; gradients go to its radiance in fixed directions."""
     import drjit as dr
 
-    grid = sky_grid(mi, emitter, emitter.class_name())
-    projection = TexelProjection(grid.height, grid.width, bandlimit, turn @ grid.to_world)
-    si = dr.zeros(mi.SurfaceInteraction3f, len(grid.directions))
-    si.wi = -mi.Vector3f(grid.directions.T.astype(np.float32))
-    # What is the same in all directions comes as one number.
-    srgb = dr.ravel(emitted_srgb(mi, emitter, si) + dr.zeros(mi.Color3f, len(grid.directions)))
+    name = emitter.class_name()
+    if dr.grad_enabled(mi.traverse(emitter).get("sun_direction", 0.0)):
+        raise UserError(f"{name}: gradients do not go to sun_direction, which moves the rim of the sun; disable them")
+    quadrature = sky_quadrature(mi, emitter, lambda directions: evaluate(mi, emitter, directions), name)
 
     def project(samples: NDArray) -> NDArray:
-        return projection(grid.averaged(_check_finite(samples.reshape(-1, 3))))
+        return quadrature.project(check_radiance(samples.reshape(-1, 3), name), bandlimit, turn)
+
+    def adjoint(coefficients: NDArray) -> NDArray:
+        return quadrature.adjoint(coefficients.reshape(3, -1), turn)
+
+    return linear_op(project, adjoint, _radiance(mi, emitter, quadrature.directions), mi.Float)
+
+
+def _project_samples(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> Any:
+    """Of any environment emitter, evaluated on a grid of directions."""
+    name = emitter.class_name()
+    grid = texel_grid(mi, emitter, name)
+    projection = TexelProjection(grid.height, grid.width, bandlimit, turn @ grid.to_world)
+
+    def project(samples: NDArray) -> NDArray:
+        return projection(grid.averaged(check_radiance(samples.reshape(-1, 3), name)))
 
     def adjoint(coefficients: NDArray) -> NDArray:
         return grid.spread(projection.adjoint(coefficients.reshape(3, -1)))
 
-    return linear_op(project, adjoint, srgb, mi.Float)
+    return linear_op(project, adjoint, _radiance(mi, emitter, grid.directions), mi.Float)
 
 
-def _check_finite(texels: NDArray) -> NDArray:
-    if not np.all(np.isfinite(texels)):
-        raise UserError("the light of the scene has texels that are NaN or infinite; repair the map")
-    return texels
+def _radiance(mi: Any, emitter: Any, directions: NDArray[np.float64]) -> Any:
+    """(3 n,) linear sRGB in directions (n, 3), followed by gradients."""
+    import drjit as dr
+
+    si = dr.zeros(mi.SurfaceInteraction3f, len(directions))
+    si.wi = -mi.Vector3f(directions.T.astype(np.float32))
+    # What is the same in all directions comes as one number.
+    return dr.ravel(emitted_srgb(mi, emitter, si) + dr.zeros(mi.Color3f, len(directions)))

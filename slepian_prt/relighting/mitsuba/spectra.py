@@ -1,4 +1,4 @@
-"""Linear sRGB from what emitters of any variant send, and as what any variant draws."""
+"""Linear sRGB as what any variant draws."""
 
 from __future__ import annotations
 
@@ -7,28 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Wavelengths, in nm, that spectra are integrated at.
-_FROM, _TO, _STEP = 360.0, 830.0, 5.0
+# Wavelengths, in nm, between which spectra are integrated.
+_FROM, _TO = 360.0, 830.0
 
 # Rec. 709 luminance.
 _LUMINANCE = (0.212671, 0.715160, 0.072169)
-
-
-def emitted_srgb(mi: Any, emitter: Any, si: Any) -> Any:
-    """Linear sRGB (Color3f) of the radiance that comes from where ``si`` looks."""
-    if not mi.is_spectral:
-        radiance = mi.unpolarized_spectrum(emitter.eval(si))
-        return mi.Color3f(radiance) if mi.is_rgb else mi.Color3f(radiance[0])
-    xyz = mi.Color3f(0.0)
-    count = len(si.wavelengths)
-    wavelengths = np.arange(_FROM + 0.5 * _STEP, _TO, _STEP)
-    for begin in range(0, wavelengths.size, count):
-        some = wavelengths[begin : begin + count]
-        si.wavelengths = type(si.wavelengths)(np.resize(some, count).tolist())
-        radiance = mi.unpolarized_spectrum(emitter.eval(si))
-        for i in range(some.size):
-            xyz += radiance[i] * mi.cie1931_xyz(si.wavelengths[i]) * _STEP
-    return mi.xyz_to_srgb(xyz)
 
 
 def srgb_to_spectrum(mi: Any, srgb: Any, wavelengths: Any, spectra: list[list[float]] | None) -> Any:
