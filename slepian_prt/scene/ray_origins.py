@@ -56,6 +56,11 @@ class RayOrigins:
     back: NDArray[np.float64]
     axes: NDArray[np.float64]
 
+    @classmethod
+    def above(cls, points: NDArray) -> RayOrigins:
+        """Points (n, 3) that are above the surface already."""
+        return cls(points, points, np.zeros(len(points), dtype=bool), points, np.zeros_like(points))
+
 
 def find_ray_origins(scene: Scene) -> RayOrigins:
     """Choose the origins for all receivers of a scene; traces about six short rays a vertex."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -13,16 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.scene.materials import diffuse_reflectance
 from slepian_prt.scene.mesh import Mesh, make_mesh
-
-# A mesh of fewer vertices hardly shows a shadow.
-_COARSE = 100
+from slepian_prt.scene.normals import angle_weighted_normals, split_at_creases
 
 # Shapes that have a formula instead of vertices are cut into faces of about this part of the scene's diagonal.
 _FACE_SIZE = 1.0 / 96.0
 _FEWEST_CUTS, _MOST_CUTS = 48, 128
 _MANY_SHAPES = 20
 
-log = logging.getLogger(__name__)
+# Faces whose normals are within this angle, in degrees, lie in one plane.
+_PLANE = 0.1
 
 
 @dataclass(frozen=True)
@@ -81,23 +79,19 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, diagonal: float
     ------
     UserError
     """
-    kind = shape.class_name()
+    kind, faceted = shape.class_name(), False
     if kind in _PARAMETRIC:
         surface = _parametric(mi, shape, kind, origin, diagonal, fewest)
     elif not shape.is_mesh():
         return None
     else:
         surface = _of_mesh(mi, shape)
+        if shape.has_face_normals():
+            surface, faceted = _faceted(surface), True
         if kind == "Cube":
             surface = _subdivided(surface, diagonal, fewest)
-        elif len(surface.positions) < _COARSE:
-            log.info(
-                "%s has only %d vertices; light is computed at vertices, so subdivide it to see shadows on it",
-                origin,
-                len(surface.positions),
-            )
     positions, normals, faces, uv = surface
-    replaced = kind in _PARAMETRIC or kind == "Cube"
+    replaced = kind in _PARAMETRIC or kind == "Cube" or faceted
     if replaced and normals is not None:
         faces = _along_normals(positions, normals, faces)  # a mirroring to_world turns them
     if _is_flipped(mi, shape, positions, normals, faces):
@@ -197,6 +191,15 @@ def _of_mesh(mi: Any, shape: Any) -> _Surface:
     normals = np.array(shape.vertex_normal(vertex), dtype=np.float64).T if shape.has_vertex_normals() else None
     uv = np.array(shape.vertex_texcoord(vertex), dtype=np.float32).T if shape.has_vertex_texcoords() else None
     return _Surface(positions, normals, faces, uv)
+
+
+def _faceted(surface: _Surface) -> _Surface:
+    """A mesh that is drawn flat (``face_normals``): faces share vertices only where they lie in one plane."""
+    places = np.unique(surface.positions, axis=0, return_inverse=True)[1].ravel()
+    vertices, faces = split_at_creases(surface.positions, surface.faces, places, _PLANE)
+    positions = surface.positions[vertices]
+    uv = None if surface.uv is None else surface.uv[vertices]
+    return _Surface(positions, angle_weighted_normals(positions, faces), faces, uv)
 
 
 # --- Shapes with a formula -------------------------------------------------------------------------------------------

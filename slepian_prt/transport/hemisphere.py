@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,25 @@ from slepian_prt.sphere.rotation import rotation_to
 from slepian_prt.transport.directions import DirectionSet
 
 
+class SurfacePoints(NamedTuple):
+    """Points that rays start at beside the receivers of a scene.
+
+    Attributes
+    ----------
+    normals : (n, 3)
+    origins : (n, 3)
+        In the space that Mitsuba traces in, just above the surface.
+    """
+
+    normals: NDArray[np.float64]
+    origins: NDArray[np.float64]
+
+
 class HemisphereRays:
     """Rays from receivers along a set of directions, each receiver in its own frame.
 
-    The frames are turned about the normals by angles at random, so that errors do not band.
+    The frames are turned about the normals by angles at random, so that errors do not band. Other ``points`` can take
+    the place of the receivers.
 
     Attributes
     ----------
@@ -28,11 +43,14 @@ class HemisphereRays:
         Number traced so far.
     """
 
-    def __init__(self, scene: Scene, directions: DirectionSet, seed: int) -> None:
+    def __init__(self, scene: Scene, directions: DirectionSet, seed: int, points: SurfacePoints | None = None) -> None:
         mi = scene.mi
         self.mi, self.geometry = mi, scene.geometry
         self.directions, self.rays = directions, 0
-        self._normals, self._origins = scene.receivers.normals, scene.ray_origins
+        if points is None:
+            self._normals, self._origins = scene.receivers.normals, scene.ray_origins
+        else:
+            self._normals, self._origins = points.normals, RayOrigins.above(points.origins)
         self._turns = np.random.default_rng(seed).random(len(self._normals)) * 2.0 * math.pi
         self._vectors = mi.Vector3f(directions.vectors.T.astype(np.float32))
 

@@ -15,12 +15,16 @@ from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.effects import NOT_SIMULATED, OMITTED, SIMULATED, Effect, Plan, wanted_effects
+from slepian_prt.transport.interpolation import interpolation_error
 from slepian_prt.transport.interreflection import GATHER_SHARE, gather_operator
 from slepian_prt.transport.occlusion import OcclusionTables
 from slepian_prt.transport.visibility import VisibilitySamples, VisibilityTracer, nodes_for, shadowed_vertices
 
 # An effect that changes less than this part of the received light is left out.
 TOLERANCE = 0.005
+
+# Interpolation between vertices is worth a remark from this error on.
+_BETWEEN = 0.05
 
 _PILOT_VERTICES = 256
 _PILOT_NODES = 256
@@ -55,6 +59,8 @@ class PilotVisibility:
         The part that shows the backs of receivers.
     changes : float
         Edges of the direction set along which visibility changes, over the root of its nodes.
+    between : float
+        Relative RMS by which light between vertices differs from what is interpolated.
     tail : callable
         Gives the part of the energy of the transfer that lies in degrees above a bandlimit.
     """
@@ -64,6 +70,7 @@ class PilotVisibility:
     tint: Estimate
     backs: float
     changes: float
+    between: float
     tail: Callable[[int], float]
 
 
@@ -136,6 +143,8 @@ class _Decisions:
         if bounces and self._pilot.backs > TOLERANCE and any(self._scene.two_sided):
             name, reason = "light reflected by the backs of surfaces", "vertices carry light on their front only"
             rows.append(Effect(name, NOT_SIMULATED, self._pilot.backs, None, 0, reason))
+        if self._pilot.between > _BETWEEN:
+            rows.append(self._between())
         reason = "only reflection of distant light by diffuse surfaces is simulated"
         rows += [Effect(name, NOT_SIMULATED, None, None, 0, reason) for name in self._scene.not_simulated]
         estimator = "direct" if self._view is None else "view"
@@ -220,6 +229,13 @@ class _Decisions:
         reason = f"asked for: all that materials reflect toward camera '{view.name}', but mirrors and glass"
         return Effect("glossy reflection", SIMULATED, None, None, rays, reason)
 
+    def _between(self) -> Effect:
+        reason = (
+            f"{len(self._scene.receivers)} vertices, and light is computed at vertices: what is interpolated between "
+            "them is off by this relative RMS; subdivide the faces to see more of it"
+        )
+        return Effect("light between vertices", NOT_SIMULATED, self._pilot.between, None, 0, reason)
+
     def _tail(self) -> Effect:
         amount = math.sqrt(self._pilot.tail(self._bandlimit))
         reason = f"relative RMS of the transfer beyond bandlimit {self._bandlimit}; smooth light meets less of it"
@@ -228,7 +244,7 @@ class _Decisions:
 
 def _trace_pilot(scene: Scene, possible: NDArray, receivers: int, seed: int) -> PilotVisibility:
     if possible.size == 0:
-        return PilotVisibility(Estimate(), Estimate(), Estimate(), 0.0, 0.0, _tail_of_cosine)
+        return PilotVisibility(Estimate(), Estimate(), Estimate(), 0.0, 0.0, 0.0, _tail_of_cosine)
     chosen = np.random.default_rng(seed).choice(possible, min(_PILOT_VERTICES, possible.size), replace=False)
     share = possible.size / receivers
     directions = direction_set(_PILOT_NODES)
@@ -252,6 +268,7 @@ def _trace_pilot(scene: Scene, possible: NDArray, receivers: int, seed: int) -> 
         Estimate.of(np.ptp(reflected, axis=1), share),
         share * gather.backs,
         tracer.changes / chosen.size / math.sqrt(directions.size),
+        interpolation_error(scene, seed),
         tail,
     )
 
