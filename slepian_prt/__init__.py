@@ -13,6 +13,7 @@ Transfer and relighting
     CompressedTransfer              What a .prt file holds; save, reconstruct, predicted errors.
     load                            Read a .prt file.
     relight                         Radiance at the vertices under given lighting.
+    render_picture, save_picture    Draw a model under a light, as an array or a file.
     register                        Make the integrator `slepian_prt` known to Mitsuba.
 Meshes and light
     read_mesh, make_mesh            A mesh from a file, or from arrays.
