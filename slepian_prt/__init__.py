@@ -41,6 +41,10 @@ Counting functions
     generalized_shannon_number      N_g of Lessig & Fiume (2010).
     refined_shannon_number          N_ref, two-term asymptotics.
     concentration_count             How many concentrations are above a threshold, exactly.
+Plots
+    plot_picture                    A relit model, on Matplotlib axes.
+    plot_errors                     Errors that `slepian-prt compare` measured, against bytes or functions.
+    plot_spectrum                   Eigenvalues of a basis.
 Errors
     UserError                       A mistake in the input: one line that says what is wrong and what to do.
 

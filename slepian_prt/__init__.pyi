@@ -3,6 +3,9 @@ from .compression.compressed import CompressedTransfer as CompressedTransfer
 from .compression.prt_file import load as load
 from .compression.stream import compress as compress
 from .errors import UserError as UserError
+from .evaluation.drawing import plot_errors as plot_errors
+from .evaluation.drawing import plot_picture as plot_picture
+from .evaluation.drawing import plot_spectrum as plot_spectrum
 from .examples import example as example
 from .lighting.environment import Environment as Environment
 from .lighting.environment import read_environment as read_environment

@@ -35,6 +35,7 @@ _MOST_OF_PICTURES, _MOST_OF_VERTICES = 512, 2048
 _TRACED = (500, 2000)
 _COMPRESSED = (1000, 3000)
 _WIDTHS = (32, 96)
+_RUNS = 3
 
 # Bounces of light between surfaces, where they are followed until they do not matter.
 _BOUNCES = 6
@@ -107,13 +108,16 @@ def forecast(
 
 
 def _time(sizes: tuple[int, int], largest: int, work: Callable[[int], Any]) -> _Line:
-    taken, measured = [], []
-    for size in sizes:
-        taken.append(float(min(size, largest)))
-        begin = time.perf_counter()
-        work(min(size, largest))
-        measured.append(time.perf_counter() - begin)
-    return _Line((taken[0], taken[1]), (measured[0], measured[1]))
+    """The shortest of some runs of each size: what others do on the machine only adds."""
+    amounts = [min(size, largest) for size in sizes]
+    shortest = []
+    for amount in amounts:
+        begins = [time.perf_counter()]
+        for _ in range(_RUNS):
+            work(amount)
+            begins.append(time.perf_counter())
+        shortest.append(float(np.diff(begins).min()))
+    return _Line((float(amounts[0]), float(amounts[1])), (shortest[0], shortest[1]))
 
 
 def _some_vertices(scene: Scene, size: int) -> NDArray[np.int64]:

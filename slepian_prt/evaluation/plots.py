@@ -6,24 +6,26 @@ import io
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+import matplotlib.ticker
 import numpy as np
+from matplotlib.figure import Figure
+
+# Of figures in reports; those of a user's own plots stay as they are, and so does the backend.
+_STYLE = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}
 
 
 def make_figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = None) -> tuple[Any, Any]:
     """Plots side by side, by default in the size of a page: a Matplotlib figure, and its axes (rows, columns)."""
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False})
-    size = size or (7.2 if columns == 1 else 5.4 * columns, 4.6)
-    return plt.subplots(rows, columns, figsize=size, squeeze=False, sharex="col")
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=size or (7.2 if columns == 1 else 5.4 * columns, 4.6))
+        return figure, figure.subplots(rows, columns, squeeze=False, sharex="col")
 
 
 def encode_figure(figure: Any) -> bytes:
     """The figure as a PNG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
-    plt.close(figure)
+    with matplotlib.rc_context(_STYLE):
+        figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
     return buffer.getvalue()
 
 

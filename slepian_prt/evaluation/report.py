@@ -12,7 +12,7 @@ import numpy as np
 
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation import pages
-from slepian_prt.evaluation.compare import Comparison, MethodResult, View
+from slepian_prt.evaluation.comparison import Comparison, MethodResult, View
 from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE
 from slepian_prt.evaluation.methods import FULL_SH, METHODS
 from slepian_prt.evaluation.plots import percent

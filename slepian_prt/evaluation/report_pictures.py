@@ -10,7 +10,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from slepian_prt.evaluation.compare import Comparison, View
+from slepian_prt.evaluation.comparison import Comparison, View
 from slepian_prt.evaluation.ladder import NO_BANDLIMIT
 from slepian_prt.evaluation.metrics import error_map
 from slepian_prt.evaluation.plots import percent

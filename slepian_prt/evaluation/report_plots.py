@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slepian_prt.evaluation import plots
-from slepian_prt.evaluation.compare import Comparison, MethodResult
+from slepian_prt.evaluation.comparison import Comparison, MethodResult
 from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE, StageError
 from slepian_prt.evaluation.methods import METHODS
 

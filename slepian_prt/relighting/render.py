@@ -144,5 +144,5 @@ def _light_of(transfer: Transfer | CompressedTransfer, lighting: Any) -> Any:
         return lighting
     own = transfer.environment if isinstance(transfer, Transfer) else transfer.lighting
     if own is None:
-        raise UserError("the scene has no light of its own; give `lighting`, such as the path of a map")
+        raise UserError("the scene has no light of its own; give the path of a map")
     return own
