@@ -10,6 +10,9 @@ import matplotlib.ticker
 import numpy as np
 from matplotlib.figure import Figure
 
+# An error below this is rounding of float64.
+_NOTHING = 1e-9
+
 # Of figures in reports; those of a user's own plots stay as they are, and so does the backend.
 _STYLE = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}
 
@@ -59,11 +62,24 @@ def add_legend(axis: Any) -> None:
     axis.legend(frameon=False, fontsize=10, loc="upper left", bbox_to_anchor=(1.01, 1.0))
 
 
+def add_legend_below(axis: Any, inches: float = 0.6) -> None:
+    """Under the plot, so many inches below it: beside it, it would leave the plot half of a narrow screen."""
+    height = axis.figure.get_size_inches()[1] * axis.get_position().height
+    axis.legend(
+        frameon=False,
+        fontsize=10,
+        ncols=3,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -inches / height),
+        columnspacing=1.2,
+    )
+
+
 def percent(value: float | None) -> str:
     """An error for readers, with two digits."""
     if value is None:
         return "–"
-    number = "0" if value == 0.0 else f"{100 * value:.2g}" if value < 0.1 else f"{100 * value:.0f}"
+    number = "0" if value < _NOTHING else f"{100 * value:.2g}" if value < 0.1 else f"{100 * value:.0f}"
     return f"{number}\N{NO-BREAK SPACE}%"
 
 
