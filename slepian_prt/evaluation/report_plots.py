@@ -95,9 +95,6 @@ def plot_ladder(ladder: Sequence[StageError]) -> bytes:
             for e, place in zip(errors, places, strict=True):
                 if e.noise > 0.0:
                     axis.plot([e.noise, e.error], [place, place], "-", color=color, linewidth=1.0, alpha=0.6)
-        low, high = axis.get_xlim()
-        wider = max(1.0, (_NARROWEST * low / high) ** 0.5)
-        axis.set_xlim(low / wider, high * wider)
         plots.scale_abscissa(axis, 100.0, " %")
         axis.tick_params(labelbottom=True)
         axis.set_yticks(range(len(stages)), [textwrap.fill(stage, 22) for stage in stages])
@@ -105,6 +102,10 @@ def plot_ladder(ladder: Sequence[StageError]) -> bytes:
         axis.set_xlabel(f"relative RMS error under {name}")
         axis.grid(True, axis="x", which="major", color="#dddddd", linewidth=0.6)
         axis.set_axisbelow(True)
+    shown = [value for error in ladder for value in (error.error, error.noise) if value > 0.0 and error.error > 0.0]
+    if shown:
+        margin = max(1.1, (_NARROWEST * min(shown) / max(shown)) ** 0.5)
+        axes[0, 0].set_xlim(min(shown) / margin, max(shown) * margin)  # that of all
     figure.tight_layout()
     axes[0, 0].legend(frameon=False, fontsize=10, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return plots.encode_figure(figure)
