@@ -13,7 +13,7 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.backdrop import draw_backdrop, look_up
 from slepian_prt.relighting.camera import aim_camera
 from slepian_prt.relighting.coloured_mesh import write_ply
-from slepian_prt.relighting.outputs import Wish, check_output, check_source
+from slepian_prt.relighting.outputs import Wish, check_output, check_source, write_coloured_mesh
 from slepian_prt.relighting.pictures import Finish, Picture, display, linear
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.render import render_picture, save_picture
@@ -287,6 +287,20 @@ def test_other_readers_read_the_coloured_mesh(tmp_path):
     read = trimesh.load(tmp_path / "out.ply", process=False)
     np.testing.assert_allclose(read.vertices, mesh.positions, atol=1e-7)
     assert_exact(read.visual.vertex_colors, np.tile([77, 77, 77, 255], (len(mesh.positions), 1)), "copies")
+
+
+def test_a_coloured_mesh_is_shaded_by_radiance_and_exposed(tmp_path):
+    mesh = sphere(2)
+    radiance = np.repeat(0.5 + 0.5 * mesh.normals[:, 1:2], 3, axis=1)
+    scale = write_coloured_mesh(tmp_path / "out.ply", mesh, radiance)
+    brighter = write_coloured_mesh(tmp_path / "brighter.ply", mesh, radiance, factor=2.0)
+    assert brighter == 2.0 * scale
+    plain, bright = (read_ply(tmp_path / f"{name}.ply")[1]["red"].astype(int) for name in ("out", "brighter"))
+    assert (np.diff(plain[np.argsort(radiance[:, 0])]) >= 0).all()
+    assert plain.max() > 200
+    assert plain.min() < 10
+    assert (bright >= plain).all()
+    assert bright.mean() > plain.mean() + 10
 
 
 def test_inputs_are_not_overwritten(ball, tmp_path):
