@@ -13,6 +13,7 @@ Transfer and relighting
     CompressedTransfer              What a .prt file holds; save, reconstruct, predicted errors.
     load                            Read a .prt file.
     relight                         Radiance at the vertices under given lighting.
+    render_picture, save_picture    Draw a model under a light, as an array or a file.
     register                        Make the integrator `slepian_prt` known to Mitsuba.
 Meshes and light
     read_mesh, make_mesh            A mesh from a file, or from arrays.
@@ -40,6 +41,10 @@ Counting functions
     generalized_shannon_number      N_g of Lessig & Fiume (2010).
     refined_shannon_number          N_ref, two-term asymptotics.
     concentration_count             How many concentrations are above a threshold, exactly.
+Plots
+    plot_picture                    A relit model, on Matplotlib axes.
+    plot_errors                     Errors that `slepian-prt compare` measured, against bytes or functions.
+    plot_spectrum                   Eigenvalues of a basis.
 Errors
     UserError                       A mistake in the input: one line that says what is wrong and what to do.
 

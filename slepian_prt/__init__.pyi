@@ -3,6 +3,9 @@ from .compression.compressed import CompressedTransfer as CompressedTransfer
 from .compression.prt_file import load as load
 from .compression.stream import compress as compress
 from .errors import UserError as UserError
+from .evaluation.drawing import plot_errors as plot_errors
+from .evaluation.drawing import plot_picture as plot_picture
+from .evaluation.drawing import plot_spectrum as plot_spectrum
 from .examples import example as example
 from .lighting.environment import Environment as Environment
 from .lighting.environment import read_environment as read_environment
@@ -11,6 +14,8 @@ from .lighting.spectrum import falling_prior as falling_prior
 from .lighting.spectrum import measured_prior as measured_prior
 from .relighting.mitsuba.integrator import register as register
 from .relighting.relight import relight as relight
+from .relighting.render import render_picture as render_picture
+from .relighting.render import save_picture as save_picture
 from .scene.mesh import Mesh as Mesh
 from .scene.mesh import make_mesh as make_mesh
 from .scene.mesh_files import read_mesh as read_mesh

@@ -16,6 +16,7 @@ from slepian_prt.cli.options import (
     grouping_options,
     noise_option,
     output_option,
+    picture_options,
     rotate_option,
     scene_argument,
     transport_options,
@@ -33,12 +34,14 @@ if TYPE_CHECKING:
 @environment_option("Map")
 @output_option("Folder for report.html, results.json, figures.")
 @click.option("--basis", "bases", multiple=True, help="Only these methods; may be given several times.")
+@click.option("--all", "all_methods", is_flag=True, help="All methods, which takes about five times as long.")
 @click.option("--terms", "terms", multiple=True, type=int, help="Numbers of functions; may be given several times.")
 @transport_options
 @grouping_options
 @rotate_option
 @clamp_option
 @width_option("Of the pictures", 400)
+@picture_options
 @noise_option(0.01)
 @click.option(
     "--sweep",
@@ -53,6 +56,7 @@ def compare(
     output: str,
     swept: str | None,
     bases: tuple[str, ...],
+    all_methods: bool,
     terms: tuple[int, ...],
     rotate: float,
     clamp_negative: bool,
@@ -62,36 +66,43 @@ def compare(
 ) -> None:
     """Compare methods on SCENE: errors against full SH and path-traced references, as a report and as JSON.
 
-    The light of adapted+light is the mean spectrum of the maps.
+    Without --basis or --all: the adapted basis, the paper's, spherical harmonics and principal components. The light of
+    adapted+light is the mean spectrum of the maps.
     """
     from slepian_prt.cli.terminal import print_plan, progress
     from slepian_prt.compression.settings import CompressionSettings
-    from slepian_prt.evaluation.compare import DEFAULT_TERMS
     from slepian_prt.evaluation.compare import compare as run
-    from slepian_prt.evaluation.methods import DEFAULT_METHODS, check_methods
-    from slepian_prt.evaluation.report import write_report
-    from slepian_prt.files import check_folder
+    from slepian_prt.evaluation.methods import DEFAULT_METHODS, DEFAULT_TERMS, METHODS, check_methods
+    from slepian_prt.evaluation.report import check_report, write_report
+    from slepian_prt.relighting.pictures import Finish
+    from slepian_prt.scene.view import Aim
     from slepian_prt.transport.settings import TransportSettings
 
     transport = settings_of(TransportSettings, options)
     grouping = settings_of(CompressionSettings, options)
     grouping.check(transport.bandlimit)
+    options["background"] = options["background"] or "white"
+    aim, finish = settings_of(Aim, options), settings_of(Finish, options)
+    if all_methods and bases:
+        raise UserError("`all` is all methods, `basis` some of them; give one of the two")
     check_methods(bases)
     for k in terms:
         CompressionSettings(terms=k).check(transport.bandlimit)
-    check_folder(output)
+    check_report(output, [scene, *environment], [Path(path).stem for path in environment])
     sweep = None if swept is None else _read_sweep(swept, scene)
-    maps = read_maps(environment, clamp_negative, rotate)
+    maps = read_maps(environment, clamp_negative, rotate, aim.up)
     with progress("transport", "vertices") as (advance, report):
         comparison = run(
             scene,
             maps,
             transport=transport,
             grouping=grouping,
-            methods=bases or DEFAULT_METHODS,
+            methods=bases or (tuple(METHODS) if all_methods else DEFAULT_METHODS),
             terms=terms or DEFAULT_TERMS,
             width=width,
             noise=noise,
+            aim=aim,
+            finish=finish,
             report=report,
             on_plan=print_plan,
             advance=advance,

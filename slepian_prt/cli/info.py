@@ -9,6 +9,7 @@ import click
 
 from slepian_prt.cli.commands import with_flags
 from slepian_prt.cli.options import file_argument, json_option
+from slepian_prt.cli.values import read_transfer
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -19,9 +20,7 @@ if TYPE_CHECKING:
 @json_option
 def info(file: str, as_json: bool) -> None:
     """What a transfer FILE holds, what was simulated, and what error to expect."""
-    from slepian_prt.compression.prt_file import load
-
-    packed = load(file)
+    packed = read_transfer(file)
     content = _content(packed)
     if as_json:
         effects = [

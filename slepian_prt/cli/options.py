@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from slepian_prt.cli.values import Albedo, Names
+from slepian_prt.cli.values import Albedo, Names, Point
 from slepian_prt.errors import UserError
 
 Decorator = Callable[[Any], Any]
@@ -47,6 +47,32 @@ def noise_option(default: float) -> Decorator:
     text = "Wanted relative noise of the references."
     return click.option("--noise", default=default, show_default=True, callback=check_noise, help=text)
 
+
+# How pictures are taken: the fields of `Aim`; and how they are shown: those of `Finish`.
+picture_options = together(
+    click.option(
+        "--look-at",
+        nargs=2,
+        type=Point(),
+        metavar="X,Y,Z X,Y,Z",
+        help="Where the camera stands, and a point in the middle of the picture.  [default: the scene's camera, or "
+        "from the front]",
+    ),
+    click.option("--fov", type=float, metavar="DEG", help="Angle of view, across the width."),
+    click.option(
+        "--up",
+        type=click.Choice(["y", "z"]),
+        help="What is up in the picture, and where the sky of a map is: z for most scans.  [default: y]",
+    ),
+    click.option(
+        "--background",
+        metavar="COLOUR|map|transparent",
+        help="A name or #rrggbb, or the map behind the model.  [default: transparent, in a film or report white]",
+    ),
+    click.option(
+        "--exposure", type=float, default=0.0, metavar="STOPS", help="Brighter than chosen for the model, or darker."
+    ),
+)
 
 scene_argument = click.argument("scene", type=click.Path())
 file_argument = click.argument("file", type=click.Path())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,10 +13,11 @@ from slepian_prt.cli.options import (
     environment_option,
     file_argument,
     output_option,
+    picture_options,
     rotate_option,
     width_option,
 )
-from slepian_prt.cli.values import Names
+from slepian_prt.cli.values import Names, read_transfer, settings_of
 
 
 @click.command()
@@ -32,6 +34,7 @@ from slepian_prt.cli.values import Names
 )
 @clamp_option
 @width_option("Of a picture", 800)
+@picture_options
 @click.option(
     "--format",
     "kind",
@@ -52,20 +55,30 @@ def relight(
     width: int | None,
     kind: str,
     output: str,
+    **options: Any,
 ) -> None:
     """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr).
 
     Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
     """
-    from slepian_prt.compression.prt_file import load
-    from slepian_prt.relighting.outputs import check_output, write_relit
+    from slepian_prt.relighting.outputs import Wish, check_output, check_source, write_relit
+    from slepian_prt.relighting.pictures import MAP, TRANSPARENT, Finish
     from slepian_prt.relighting.series import Lights, relight_series
+    from slepian_prt.scene.view import Aim
 
-    lights = Lights(environment, rotate, turntable, window, window_width, clamp_negative)
-    check_output(output, file, *environment, several=lights.several)
-    packed = load(file)
+    options["background"] = options["background"] or TRANSPARENT
+    aim, finish = settings_of(Aim, options), settings_of(Finish, options)
+    wish = Wish(f".{kind}", width, aim, finish)
+    drawn = wish.draws(output)
+    lights = Lights(
+        environment, rotate, turntable, window, window_width, clamp_negative, aim.axis,
+        shown=drawn and finish.background == MAP,
+    )  # fmt: skip
+    check_output(output, [file, *environment], lights.names, wish, several=lights.several)
+    packed = read_transfer(file)
+    check_source(output, packed, file)
     series = relight_series(packed, lights, file, note)
-    write_relit(output, packed, series, f".{kind}", width, note)
+    write_relit(output, packed, series, wish, note)
     shone = ", ".join(Path(path).name for path in environment) or "the light of the scene"
     several = f", {len(series.names)} results" if lights.several else ""
     say(f"{output}: {len(packed.mesh.positions)} vertices under {shone}{several}")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -14,6 +16,7 @@ from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
     from slepian_prt.accuracy.goal import Light
+    from slepian_prt.compression.compressed import CompressedTransfer
     from slepian_prt.lighting.environment import Environment
 
 Settings = TypeVar("Settings")
@@ -59,6 +62,22 @@ class Albedo(click.ParamType):
             raise UserError(f"`albedo` must be one number between 0 and 1, or three as R,G,B; not {value!r}") from None
 
 
+class Point(click.ParamType):
+    """Three numbers with commas between."""
+
+    name = "point"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[float]:
+        try:
+            coordinates = [float(part) for part in value.split(",")]
+        except ValueError:
+            coordinates = []
+        if len(coordinates) != 3:
+            assert param is not None
+            raise UserError(f"`{param.name}` must be two points X,Y,Z of three numbers each; {value!r} is none")
+        return coordinates
+
+
 class Several(click.ParamType):
     """Values of one kind with commas between."""
 
@@ -81,12 +100,33 @@ def settings_of(kind: Callable[..., Settings], options: dict[str, Any], **more: 
     return kind(**{name: value for name, value in options.items() if name in names}, **more)
 
 
-def read_maps(paths: Sequence[str], clamp_negative: bool, rotate: float = 0.0) -> list[Environment]:
-    """The environments that are named; what was mended in them is noted."""
+def read_maps(
+    paths: Sequence[str], clamp_negative: bool, rotate: float = 0.0, up: str | None = None
+) -> list[Environment]:
+    """The environments that are named, turned, their sky put up; what was mended in them is noted."""
     from slepian_prt.lighting.environment import check_names
+    from slepian_prt.scene.view import up_rotation
 
     check_names(paths)
-    return [_read_map(path, clamp_negative).rotated(rotate) for path in paths]
+    lights = [_read_map(path, clamp_negative).rotated(rotate) for path in paths]
+    stand = up_rotation(up or "y")
+    return [replace(light, to_world=stand @ light.to_world) for light in lights]
+
+
+def read_transfer(file: str) -> CompressedTransfer:
+    """The transfer file that is named; of a mesh or scene it is said how to make one."""
+    from slepian_prt.compression.prt_file import load
+    from slepian_prt.scene.mesh import MESH_SUFFIXES
+
+    try:
+        return load(file)
+    except UserError:
+        path = Path(file)
+        if path.is_file() and path.suffix.lower() in (*MESH_SUFFIXES, ".gltf", ".xml"):
+            kind = "Mitsuba scene" if path.suffix.lower() == ".xml" else "mesh"
+            command = shlex.join(["slepian-prt", "precompute", file, "-o", str(path.with_suffix(".prt"))])
+            raise UserError(f"{file}: is a {kind}, not a transfer file; first run: {command}") from None
+        raise
 
 
 def _read_map(path: str, clamp_negative: bool) -> Environment:

@@ -5,35 +5,43 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.errors import UserError, check_integer
+from slepian_prt.evaluation.comparison import Comparison, MethodResult, View
+from slepian_prt.evaluation.forecast import forecast
 from slepian_prt.evaluation.ladder import NO_BANDLIMIT, Stage, StageError, measure_stages
 from slepian_prt.evaluation.lights import check_lights, lights_of
-from slepian_prt.evaluation.methods import DEFAULT_METHODS, MethodRun, Workload, check_methods, run_methods
+from slepian_prt.evaluation.methods import (
+    DEFAULT_METHODS,
+    DEFAULT_TERMS,
+    MethodRun,
+    Workload,
+    check_methods,
+    run_methods,
+)
 from slepian_prt.evaluation.metrics import relative_rms, seam
-from slepian_prt.evaluation.provenance import versions
-from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices, render_reference, vertex_reference
+from slepian_prt.evaluation.reference import render_reference, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
-from slepian_prt.relighting.camera import Camera, trace_camera
-from slepian_prt.relighting.pictures import Picture
+from slepian_prt.relighting.backdrop import draw_backdrop
+from slepian_prt.relighting.camera import Camera, aim_camera, trace_camera
+from slepian_prt.relighting.pictures import MAP, Finish
 from slepian_prt.relighting.relight import negative_fraction, relight
 from slepian_prt.scene.scene import Scene
+from slepian_prt.scene.sensors import DEFAULT_WIDTH
+from slepian_prt.scene.view import Aim
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import Transfer, compute_transfer
-
-DEFAULT_TERMS = (4, 9, 16, 25, 36)
 
 # Pictures are shown of the number of functions nearest to this.
 _PICTURED_TERMS = 16
@@ -42,142 +50,6 @@ _LARGEST_TERMS = 1 << 20
 _RELIGHT_RUNS = 3
 
 Report = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class MethodResult:
-    """What one method with one setting costs and loses; the fields of ``methods`` in results.json.
-
-    Attributes
-    ----------
-    basis, coding : str
-    terms : float
-        Mean number of functions.
-    bytes_per_vertex : float
-    transfer_error : float
-        Relative RMS error of the transfer vectors.
-    predicted_error : float or None
-        The same as compression foresaw it, of methods that do.
-    relit_error : dict of str to float
-        For each environment, relative RMS error of radiance at the vertices against full SH.
-    predicted_relit_error : dict of str to float
-        The same as compression foresaw it, averaged over the rotations of the map.
-    image_error : dict of str to float
-        For each environment, relative RMS error of the picture against the path-traced reference.
-    seam_across, seam_within : float or None
-        Jumps of the error along edges between caps and within them, see `metrics.seam`; means over the environments.
-    compress_seconds, relight_seconds : float
-    """
-
-    basis: str
-    coding: str
-    terms: float
-    bytes_per_vertex: float
-    transfer_error: float
-    predicted_error: float | None
-    relit_error: dict[str, float]
-    predicted_relit_error: dict[str, float]
-    image_error: dict[str, float]
-    seam_across: float | None
-    seam_within: float | None
-    compress_seconds: float
-    relight_seconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One environment: its light, the references under it, and pictures from one camera.
-
-    Attributes
-    ----------
-    environment : Environment
-    lighting : (3, (L+1)²)
-    radiance : (V, 3)
-        Of full SH.
-    reference : ReferencePicture
-        Path-traced, without what transfer knows no light of.
-    vertices : ReferenceVertices
-    interpolated, full : Picture
-        Of ``vertices``, and of full SH.
-    compressed : dict of str to Picture
-        Of each method.
-    """
-
-    environment: Environment
-    lighting: NDArray[np.float64]
-    radiance: NDArray[np.float32]
-    reference: ReferencePicture
-    vertices: ReferenceVertices
-    interpolated: Picture
-    full: Picture
-    compressed: dict[str, Picture] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Everything that the report shows.
-
-    Attributes
-    ----------
-    transfer : Transfer
-    grouping : CompressionSettings
-        Of which only the grouping counts.
-    clusters : int
-        Number of caps.
-    half_angles : (float, float)
-        Of the narrowest and the widest cap, radians.
-    methods : tuple of MethodResult
-    ladder : tuple of StageError
-    views : tuple of View
-        One for each environment.
-    pictured_terms : int
-        Number of functions of the compressed pictures.
-    negative : dict of str to float
-        For each environment, the part of the vertices that full SH makes negative.
-    seconds : float
-        That the whole comparison took.
-    """
-
-    transfer: Transfer
-    grouping: CompressionSettings
-    clusters: int
-    half_angles: tuple[float, float]
-    methods: tuple[MethodResult, ...]
-    ladder: tuple[StageError, ...]
-    views: tuple[View, ...]
-    pictured_terms: int
-    negative: dict[str, float]
-    seconds: float
-
-    def results(self) -> dict[str, Any]:
-        """What results.json holds; its names are stable."""
-        return {
-            "scene": self.transfer.source,
-            "vertices": len(self.transfer.positions),
-            "bandlimit": self.transfer.bandlimit,
-            "samples": self.transfer.samples,
-            "seed": self.transfer.seed,
-            "clusters": self.clusters,
-            "group_by": self.grouping.group_by,
-            "occlusion_classes": self.grouping.occlusion_classes,
-            "environments": [view.environment.name for view in self.views],
-            "methods": [asdict(method) for method in self.methods],
-            "ladder": [asdict(error) for error in self.ladder],
-            "references": {
-                view.environment.name: {
-                    "noise": view.reference.noise,
-                    "samples_per_pixel": view.reference.samples,
-                    "seconds": view.reference.seconds,
-                }
-                for view in self.views
-            },
-            "bounces": self.transfer.bounces,
-            "toward_camera": self.transfer.toward_view,
-            "effects": [effect.as_dict() for effect in self.transfer.effects],
-            "rays_traced": self.transfer.rays_traced,
-            "seconds": {**self.transfer.seconds, "total": self.seconds},
-            "versions": versions(),
-        }
 
 
 def compare(
@@ -190,6 +62,8 @@ def compare(
     terms: Sequence[int] = DEFAULT_TERMS,
     width: int | None = None,
     noise: float = 0.01,
+    aim: Aim | None = None,
+    finish: Finish | None = None,
     report: Report = lambda _: None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
@@ -205,7 +79,9 @@ def compare(
     methods, terms : every method is tried with every number of terms that the bandlimit allows
     width : of the pictures
     noise : wanted relative RMS noise of the path-traced references
-    report : given the name of each step as it begins
+    aim : the camera of the pictures; by default that of the scene, or one that sees the whole model
+    finish : their background, by default white, and their exposure
+    report : given how long all will take, and the name of each step as it begins
     on_plan, advance : as of `precompute`
 
     Raises
@@ -217,27 +93,26 @@ def compare(
         raise UserError(f"noise must be a positive number, not {noise!r}")
     check_methods(methods)
     transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
+    finish = finish or Finish("white")
     terms = _possible_terms(terms, int(transport.bandlimit))
     started = time.perf_counter()
     with plan_scene(scene, transport, on_plan) as planned:
         environments = lights_of(planned.scene, environments)
+        toward_view = planned.plan.view is not None
+        seen = aim_camera(planned.scene, aim, width or DEFAULT_WIDTH, toward_view=toward_view)
+        report("pilot, for the time")
+        report(str(forecast(planned, seen, environments, methods, terms, grouping, noise, width)))
+        planned.clock.stop("forecast")
         report("transport")
         transfer = compute_transfer(planned, advance)
         report("camera")
-        camera = trace_camera(planned.scene, width)
-        views = [_view(planned.scene, transfer, light, camera, width, noise, report) for light in environments]
+        camera = trace_camera(seen, width)
+        pictures = _Pictures(seen, camera, width, noise, finish)
+        views = [_view(planned.scene, transfer, light, pictures, report) for light in environments]
     groups = group_transfer(grouping, transfer)
     work = Workload(transfer, groups, [view.lighting for view in views], terms, report)
     pictured_terms = min(terms, key=lambda k: abs(k - _PICTURED_TERMS))
-    results: list[MethodResult] = []
-    lossy: dict[str, MethodRun] = {}  # of the first method, by coding: what the ladder ends with
-    for run in run_methods(methods, work):
-        results.append(_measure(run, transfer, views, camera))
-        pictured = run.wanted_terms == pictured_terms
-        if run.method == methods[0] and (pictured or run.coding == "coded"):
-            lossy[run.coding] = run  # of the coded ones the last, which is the most exact
-        if pictured:
-            views = [_with_picture(view, run, camera) for view in views]
+    results, lossy, views = _run_all(methods, work, views, camera, pictured_terms)
     report("ladder")
     ladder = [error for view in views for error in _measure_ladder(view, transfer, camera, lossy.values())]
     angles = [cap.half_angle for cap in groups.clusters.caps]
@@ -246,13 +121,39 @@ def compare(
         grouping,
         len(angles),
         (min(angles), max(angles)),
-        tuple(results),
+        results,
         tuple(ladder),
         tuple(views),
         pictured_terms,
         {view.environment.name: negative_fraction(view.radiance) for view in views},
+        finish,
         time.perf_counter() - started,
     )
+
+
+def _run_all(
+    methods: Sequence[str], work: Workload, views: list[View], camera: Camera, pictured_terms: int
+) -> tuple[tuple[MethodResult, ...], dict[str, MethodRun], list[View]]:
+    """All methods measured.
+
+    Returns
+    -------
+    results : tuple of MethodResult
+    lossy : dict of str to MethodRun
+        Of the first method, by coding: what the ladder ends with.
+    views : list of View
+        With the pictures of every method.
+    """
+    results: list[MethodResult] = []
+    lossy: dict[str, MethodRun] = {}
+    for run in run_methods(methods, work):
+        results.append(_measure(run, work.transfer, views, camera))
+        pictured = run.wanted_terms == pictured_terms
+        if run.method == methods[0] and (pictured or run.coding == "coded"):
+            lossy[run.coding] = run  # of the coded ones the last, which is the most exact
+        if pictured:
+            views = [_with_picture(view, run, camera) for view in views]
+    return tuple(results), lossy, views
 
 
 def _possible_terms(terms: Sequence[int], bandlimit: int) -> list[int]:
@@ -263,26 +164,43 @@ def _possible_terms(terms: Sequence[int], bandlimit: int) -> list[int]:
     return sorted({k for k in terms if k <= size}) or [size]
 
 
-def _view(
-    scene: Scene,
-    transfer: Transfer,
-    environment: Environment,
-    camera: Camera,
-    width: int | None,
-    noise: float,
-    report: Report,
-) -> View:
+class _Pictures(NamedTuple):
+    """How pictures are taken.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the camera.
+    camera : Camera
+    width : int or None
+    noise : float
+        Wanted of the references.
+    finish : Finish
+    """
+
+    scene: Scene
+    camera: Camera
+    width: int | None
+    noise: float
+    finish: Finish
+
+
+def _view(scene: Scene, transfer: Transfer, environment: Environment, pictures: _Pictures, report: Report) -> View:
     """Full SH and references under one environment."""
+    camera, noise = pictures.camera, pictures.noise
     lighting = project_environment(environment, transfer.bandlimit)
     radiance = relight(transfer, lighting)
     report(f"path-traced reference under {environment.name}")
-    reference = render_reference(scene, environment, width=width, noise=noise, bounces=transfer.bounces)
+    reference = render_reference(
+        pictures.scene, environment, width=pictures.width, noise=noise, bounces=transfer.bounces
+    )
     reference = replace(reference, picture=camera.masked(reference.picture))
     report(f"reference at the vertices under {environment.name}")
     toward = transfer.view if transfer.toward_view else None
     vertices = vertex_reference(scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
     interpolated, full = camera.picture(vertices.radiance), camera.picture(radiance)
-    return View(environment, lighting, radiance, reference, vertices, interpolated, full)
+    backdrop = draw_backdrop(environment, camera.directions) if pictures.finish.background == MAP else None
+    return View(environment, lighting, radiance, reference, vertices, interpolated, full, backdrop)
 
 
 def _with_picture(view: View, run: MethodRun, camera: Camera) -> View:
@@ -326,7 +244,7 @@ def _measure(run: MethodRun, transfer: Transfer, views: Sequence[View], camera: 
 def _measure_ladder(view: View, transfer: Transfer, camera: Camera, lossy: Iterable[MethodRun]) -> list[StageError]:
     """From radiance without a bandlimit down to coded coefficients, under one environment."""
     exact = view.vertices
-    traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage not in ("load", "plan"))
+    traced = sum(seconds for stage, seconds in transfer.seconds.items() if stage not in ("load", "plan", "forecast"))
     size = 2.0 * transfer.vectors[0].size  # in float16
     stages = [
         Stage(NO_BANDLIMIT, exact.radiance, exact.noise, exact.seconds, None),

@@ -21,6 +21,12 @@ from slepian_prt.lighting.spectrum import measured_prior
 from slepian_prt.relighting.relight import relight
 from slepian_prt.transport.transfer import Transfer
 
+# Numbers of functions, unless others are asked for.
+DEFAULT_TERMS = (4, 9, 16, 25, 36)
+
+# Of the run that costs are counted in.
+COST_TERMS = 16
+
 # Tolerances of the methods that are also compared coded.
 _TOLERANCES = (0.2, 0.1, 0.05, 0.02)
 
@@ -109,14 +115,15 @@ class Method:
     style : CurveStyle
     run : callable
         Compresses a workload with every setting.
-    by_default : bool
-        Whether it is compared if no methods are named.
+    cost : float
+        Time of all its runs with `DEFAULT_TERMS`, in units of one of spherical harmonics with `COST_TERMS`: processor
+        time on 33,000 vertices at L = 10, and roughly so on other meshes.
     """
 
     description: str
     style: CurveStyle
     run: Callable[[Workload], Iterator[MethodRun]]
-    by_default: bool = True
+    cost: float
 
 
 def check_methods(methods: Sequence[str]) -> None:
@@ -211,9 +218,18 @@ def _run_of(
 
 # --- The methods -----------------------------------------------------------------------------------------------------
 
-# Bases that are run otherwise than `_linear` does, and those that are compared only if they are named.
+# Bases that are run otherwise than `_linear` does.
 _RUNS = {"adapted": _linear("adapted", coded=True), "cpca": _cpca}
-_NOT_BY_DEFAULT = ("direct", "pca")
+
+# What answers the question what compression costs: this package's basis, the paper's, none at all, and one that has to
+# see all vectors. All methods together take about five times as long.
+DEFAULT_METHODS = ("adapted", "slepian", "sh", "pca")
+
+# Of the bases by themselves, see `Method.cost`.
+_COSTS = {
+    "adapted": 29.0, "transport": 6.0, "slepian": 6.5, "incident": 5.0, "sh": 5.0, "direct": 5.5, "pca": 3.0,
+    "cpca": 68.0,
+}  # fmt: skip
 
 # Other ways to use a basis, by its name.
 _VARIANTS = {
@@ -222,11 +238,13 @@ _VARIANTS = {
             "adapted, made for the mean spectrum of the maps compared here: the relit error counts",
             CurveStyle("#D55E00", "*", "--"),
             _linear("adapted+light", prior_of_maps=True, coded=True),
+            cost=29.0,
         ),
         "adapted+pca": Method(
             "principal axes inside nearly complete adapted coefficients of each cap, which are stored",
             CurveStyle("#D55E00", "s", "-."),
             _linear("adapted+pca", refine=True),
+            cost=30.0,
         ),
     }
 }
@@ -236,7 +254,7 @@ def _methods_of_bases() -> Iterator[tuple[str, Method]]:
     """Every basis by itself, and its variants after it."""
     for name, basis in BASES.items():
         run = _RUNS.get(name) or _linear(name)
-        yield name, Method(basis.description, basis.style, run, by_default=name not in _NOT_BY_DEFAULT)
+        yield name, Method(basis.description, basis.style, run, _COSTS[name])
         yield from _VARIANTS.get(name, {}).items()
 
 
@@ -246,13 +264,15 @@ METHODS = {
         "the largest Haar wavelets of each vertex on a cube (Ng 2003), 8 bits each and their places",
         CurveStyle("#7F7F7F", "p", "--"),
         _haar,
+        cost=5.5,
     ),
     "d3dx": Method(
-        "what Direct3D's library recommends: degrees up to 5, cpca with 24 terms", CurveStyle("#000000", "h", ""), _d3dx
+        "what Direct3D's library recommends: degrees up to 5, cpca with 24 terms",
+        CurveStyle("#000000", "h", ""),
+        _d3dx,
+        cost=4.0,
     ),
 }
 
-DEFAULT_METHODS = tuple(name for name, method in METHODS.items() if method.by_default)
-
 # Every comparison has this too, under the name "none".
-FULL_SH = Method("all spherical harmonics, nothing compressed", CurveStyle("#222222", "+", ""), _full_sh)
+FULL_SH = Method("all spherical harmonics, nothing compressed", CurveStyle("#222222", "+", ""), _full_sh, cost=1.0)

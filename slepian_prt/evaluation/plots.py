@@ -6,24 +6,29 @@ import io
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+import matplotlib.ticker
 import numpy as np
+from matplotlib.figure import Figure
+
+# An error below this is rounding of float64.
+_NOTHING = 1e-9
+
+# Of figures in reports; those of a user's own plots stay as they are, and so does the backend.
+_STYLE = {"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}
 
 
 def make_figure(columns: int = 1, rows: int = 1, size: tuple[float, float] | None = None) -> tuple[Any, Any]:
     """Plots side by side, by default in the size of a page: a Matplotlib figure, and its axes (rows, columns)."""
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False})
-    size = size or (7.2 if columns == 1 else 5.4 * columns, 4.6)
-    return plt.subplots(rows, columns, figsize=size, squeeze=False, sharex="col")
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=size or (7.2 if columns == 1 else 5.4 * columns, 4.6))
+        return figure, figure.subplots(rows, columns, squeeze=False, sharex="col")
 
 
 def encode_figure(figure: Any) -> bytes:
     """The figure as a PNG."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
-    plt.close(figure)
+    with matplotlib.rc_context(_STYLE):
+        figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight")
     return buffer.getvalue()
 
 
@@ -57,11 +62,24 @@ def add_legend(axis: Any) -> None:
     axis.legend(frameon=False, fontsize=10, loc="upper left", bbox_to_anchor=(1.01, 1.0))
 
 
+def add_legend_below(axis: Any, inches: float = 0.6) -> None:
+    """Under the plot, so many inches below it: beside it, it would leave the plot half of a narrow screen."""
+    height = axis.figure.get_size_inches()[1] * axis.get_position().height
+    axis.legend(
+        frameon=False,
+        fontsize=10,
+        ncols=3,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -inches / height),
+        columnspacing=1.2,
+    )
+
+
 def percent(value: float | None) -> str:
     """An error for readers, with two digits."""
     if value is None:
         return "–"
-    number = "0" if value == 0.0 else f"{100 * value:.2g}" if value < 0.1 else f"{100 * value:.0f}"
+    number = "0" if value < _NOTHING else f"{100 * value:.2g}" if value < 0.1 else f"{100 * value:.0f}"
     return f"{number}\N{NO-BREAK SPACE}%"
 
 

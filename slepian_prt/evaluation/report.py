@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from slepian_prt.errors import UserError
 from slepian_prt.evaluation import pages
-from slepian_prt.evaluation.compare import Comparison, MethodResult, View
+from slepian_prt.evaluation.comparison import Comparison, MethodResult, View
 from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE
 from slepian_prt.evaluation.methods import FULL_SH, METHODS
 from slepian_prt.evaluation.plots import percent
@@ -18,7 +20,7 @@ from slepian_prt.evaluation.report_pictures import ERROR_SCALE, draw_view, encod
 from slepian_prt.evaluation.report_plots import plot_by_bytes, plot_by_terms, plot_ladder, plot_relit
 from slepian_prt.evaluation.sweep.report import front_context
 from slepian_prt.evaluation.sweep.results import Sweep
-from slepian_prt.files import write_all
+from slepian_prt.files import check_folder, write_all
 
 _GROUPED_BY = {
     "normal": "their normals",
@@ -26,6 +28,17 @@ _GROUPED_BY = {
     "surface": "neighbourhoods on the surface",
     "view": "their reflection directions",
 }
+
+
+def check_report(folder: str, inputs: Sequence[str | Path], environments: Sequence[str]) -> None:
+    """Raise UserError unless a report can be written there, and none of its files in the place of an input."""
+    check_folder(folder)
+    plots = ("transfer_error", "relit_error", "error_by_bytes", "ladder")
+    names = {"report.html", "results.json", *(f"{name}.png" for name in plots)}
+    for source in map(Path, inputs):
+        of_view = source.suffix == ".png" and any(source.name.startswith(f"{name}_") for name in environments)
+        if source.exists() and source.parent.resolve() == Path(folder).resolve() and (source.name in names or of_view):
+            raise UserError(f"{source}: is an input, and a file of the report has this name; choose another folder")
 
 
 def write_report(comparison: Comparison, folder: str | Path, command: str, sweep: Sweep | None = None) -> Path:
@@ -81,7 +94,7 @@ def _render(
 def _findings(comparison: Comparison) -> list[str]:
     """The few sentences that a reader takes away, each with its numbers."""
     at_terms = {m.basis: m for m in comparison.methods if m.terms == comparison.pictured_terms and m.coding != "coded"}
-    adapted, cpca = at_terms.get("adapted"), at_terms.get("cpca")
+    adapted, components = at_terms.get("adapted"), at_terms.get("cpca") or at_terms.get("pca")
     sentences = []
     if adapted and "sh" in at_terms:
         sentences.append(
@@ -89,10 +102,10 @@ def _findings(comparison: Comparison) -> list[str]:
             f"relit radiance is off by {_mean_error(adapted)} with the adapted basis, by "
             f"{_mean_error(at_terms['sh'])} with spherical harmonics."
         )
-    if adapted and cpca:
+    if adapted and components:
         sentences.append(
-            f"Principal components of each cluster reach {_mean_error(cpca)}; they need all vectors at once, and "
-            f"{cpca.bytes_per_vertex:.0f} instead of {adapted.bytes_per_vertex:.0f} bytes per vertex."
+            f"Principal components of each cluster reach {_mean_error(components)}; they need all vectors at once, and "
+            f"{components.bytes_per_vertex:.0f} instead of {adapted.bytes_per_vertex:.0f} bytes per vertex."
         )
     if adapted:
         sentences.append(

@@ -10,11 +10,11 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from slepian_prt.evaluation.compare import Comparison, View
+from slepian_prt.evaluation.comparison import Comparison, View
 from slepian_prt.evaluation.ladder import NO_BANDLIMIT
 from slepian_prt.evaluation.metrics import error_map
 from slepian_prt.evaluation.plots import percent
-from slepian_prt.relighting.pictures import Picture, exposure, to_srgb
+from slepian_prt.relighting.pictures import TRANSPARENT, Finish, Picture, display, exposure, to_srgb
 
 # The end of the colour scale of error maps, relative to the mean luminance.
 ERROR_SCALE = 0.25
@@ -22,17 +22,18 @@ ERROR_SCALE = 0.25
 
 def draw_view(comparison: Comparison, view: View) -> dict[str, Any]:
     """What the template shows of one environment: all pictures exposed alike, and cropped to what they show."""
+    finish = comparison.finish
     reference, size = view.reference.picture, (comparison.transfer.bandlimit + 1) ** 2
     compressed = [
-        _panel(view, basis, f"{basis}, {comparison.pictured_terms} functions", picture, view.full, "full SH")
+        _panel(view, finish, basis, f"{basis}, {comparison.pictured_terms} functions", picture, view.full, "full SH")
         for basis, picture in view.compressed.items()
     ]
     return {
         "environment": view.environment.name,
         "panels": [
-            _panel(view, "reference", "path-traced reference", reference),
-            _panel(view, "vertices", NO_BANDLIMIT, view.interpolated, reference, "the reference"),
-            _panel(view, "full_sh", f"full SH, {size} functions", view.full, reference, "the reference"),
+            _panel(view, finish, "reference", "path-traced reference", reference),
+            _panel(view, finish, "vertices", NO_BANDLIMIT, view.interpolated, reference, "the reference"),
+            _panel(view, finish, "full_sh", f"full SH, {size} functions", view.full, reference, "the reference"),
             *compressed,
         ],
         "noise": view.reference.noise,
@@ -43,10 +44,18 @@ def draw_view(comparison: Comparison, view: View) -> dict[str, Any]:
 
 
 def _panel(
-    view: View, file: str, title: str, picture: Picture, against: Picture | None = None, name: str = ""
+    view: View,
+    finish: Finish,
+    file: str,
+    title: str,
+    picture: Picture,
+    against: Picture | None = None,
+    name: str = "",
 ) -> dict[str, Any]:
     """A picture beside its difference from another of that name, or beside the environment map."""
-    scale, crop = exposure(view.reference.picture), _crop(view.reference.picture.alpha)
+    scale, crop = exposure(view.reference.picture) * finish.factor, _crop(view.reference.picture.alpha)
+    shown = display(picture if view.backdrop is None else picture.over(view.backdrop), scale, finish.colour)
+    pixels = (shown * 255.0 + 0.5).astype(np.uint8)[crop]
     if against is None:
         error_file, error_png, error_title = "map", _map_png(view), f"the environment map {view.environment.name}"
     else:
@@ -57,7 +66,7 @@ def _panel(
     return {
         "file": file,
         "title": title,
-        "png": encode_picture(to_srgb(picture, scale)[crop]),
+        "png": encode_picture(pixels if finish.background == TRANSPARENT else pixels[..., :3]),
         "error_file": error_file,
         "error_title": error_title,
         "error_png": error_png,
@@ -87,7 +96,7 @@ def _crop(alpha: NDArray) -> tuple[slice, slice]:
 
 
 def encode_picture(image: NDArray[np.uint8], palette: NDArray[np.uint8] | None = None) -> bytes:
-    """PNG of an (H, W, 3) picture, or of (H, W) indices into a (256, 3) palette."""
+    """PNG of an (H, W, 3) or (H, W, 4) picture, or of (H, W) indices into a (256, 3) palette."""
     picture = PIL.Image.fromarray(image)
     if palette is not None:
         picture.putpalette(palette.tobytes())

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import UserError
 from slepian_prt.relighting.pictures import Picture
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scene import Scene
 from slepian_prt.scene.sensors import sensor
+from slepian_prt.scene.view import Aim, aimed_view
+from slepian_prt.transport.transfer import Transfer
 
 _SEED = 17
 
@@ -37,11 +40,14 @@ class Camera:
     behind : (H, W)
         Part that shows something else of the scene: the back of a surface, on which transfer knows no light, or a
         shape that only casts shadows.
+    directions : (H, W, 3)
+        From the camera through the middles of the pixels, in world space.
     """
 
     weights: csr_array
     alpha: NDArray[np.float32]
     behind: NDArray[np.float32]
+    directions: NDArray[np.float32]
 
     def masked(self, picture: Picture) -> Picture:
         """Another renderer's picture of the same view, reduced to what `picture` shows."""
@@ -54,10 +60,49 @@ class Camera:
         return Picture(pixels.reshape(*self.alpha.shape, 3), self.alpha)
 
 
-def relit_camera(packed: CompressedTransfer, width: int | None = None) -> Camera:
-    """The camera of the scene that was precomputed, or one that frames its mesh and is by default 800 pixels wide."""
+def relit_camera(packed: Transfer | CompressedTransfer, width: int | None = None, aim: Aim | None = None) -> Camera:
+    """The camera that is asked for, else that of the scene, else one that frames the mesh, by default 800 pixels wide.
+
+    Raises
+    ------
+    UserError
+        The transfer is that toward another camera.
+    """
     with open_scene(packed.mesh) as scene:
-        return trace_camera(replace(scene, view=packed.view), width or (None if packed.view else _WIDTH))
+        aimed = aim_camera(replace(scene, view=packed.view), aim, width or _WIDTH, toward_view=packed.toward_view)
+        return trace_camera(aimed, width)
+
+
+def aim_camera(scene: Scene, aim: Aim | None, width: int, *, toward_view: bool = False) -> Scene:
+    """The scene with the camera that is asked for, or one that frames its receivers if it has none.
+
+    Parameters
+    ----------
+    scene : Scene
+    aim : Aim or None
+    width : int
+        In pixels, unless the scene has a camera.
+    toward_view : bool
+        Whether the transfer is that toward the scene's camera.
+
+    Raises
+    ------
+    UserError
+        Such transfer is wanted from elsewhere.
+    """
+    aim = aim or Aim()
+    if scene.sensor is not None and not aim.asked:
+        return scene  # no plain perspective camera, but the scene's own
+    if toward_view and scene.view is not None and aim.look_at is not None:
+        eye = np.array(scene.view.to_world)[:3, 3]
+        if not np.allclose(aim.points[0], eye, rtol=1e-6, atol=1e-9):
+            raise UserError(
+                f"this is light toward the camera '{scene.view.name}', which other places do not see; leave out "
+                f"`look_at`, or give it the origin {', '.join(f'{x:.6g}' for x in eye)}"
+            )
+    receivers = scene.receivers
+    points = receivers.positions[receivers.active] if receivers.active.any() else receivers.positions
+    return replace(scene, view=aimed_view(aim, scene.view, points, width), sensor=None)
 
 
 def trace_camera(scene: Scene, width: int | None = None, strata: int = 5) -> Camera:
@@ -94,7 +139,17 @@ def trace_camera(scene: Scene, width: int | None = None, strata: int = 5) -> Cam
     scale = 1.0 / np.maximum(filter_sum, 1e-12)
     weights.data *= np.repeat(scale, np.diff(weights.indptr)).astype(np.float32)
     alpha, behind = ((part * scale).astype(np.float32).reshape(rows, columns) for part in (covered, met - covered))
-    return Camera(weights, alpha, np.maximum(behind, 0.0))
+    return Camera(weights, alpha, np.maximum(behind, 0.0), _middle_directions(scene.mi, view))
+
+
+def _middle_directions(mi: Any, view: Any) -> NDArray[np.float32]:
+    """(H, W, 3) directions through the middles of the pixels."""
+    columns, rows = (int(n) for n in view.film().size())
+    pixel = np.arange(rows * columns)
+    x, y = ((pixel % columns) + 0.5) / columns, ((pixel // columns) + 0.5) / rows
+    place = mi.Point2f(x.astype(np.float32), y.astype(np.float32))
+    ray, _ = view.sample_ray(0.0, 0.5, place, mi.Point2f(0.5, 0.5))
+    return np.array(ray.d, dtype=np.float32).T.reshape(rows, columns, 3)
 
 
 def _film_samples(mi: Any, film: Any, strata: int) -> Iterator[tuple[Any, NDArray[np.float32]]]:

@@ -10,19 +10,23 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_folder, check_writable
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.relighting.backdrop import draw_backdrop
 from slepian_prt.relighting.camera import Camera, relit_camera
-from slepian_prt.relighting.pictures import Picture, exposure, to_srgb, write_picture
+from slepian_prt.relighting.coloured_mesh import write_ply
+from slepian_prt.relighting.pictures import MAP, TRANSPARENT, Finish, Picture, exposure, to_srgb, write_picture
 from slepian_prt.relighting.series import Series
 from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.view import Aim
 
 # Of one result; several go to a folder, to one .npz, or to a film.
 PICTURES = (".png", ".exr")
@@ -32,12 +36,54 @@ FILM = ".mp4"
 _FRAMES_PER_SECOND = 30
 
 
+@dataclass(frozen=True)
+class Wish:
+    """What files are wanted.
+
+    Attributes
+    ----------
+    suffix : one of `SUFFIXES`
+        Of the files, where the output is a folder.
+    width : int or None
+        Of pictures, in pixels.
+    aim : Aim
+        Of the camera.
+    finish : Finish
+        Background and exposure.
+    """
+
+    suffix: str = ".png"
+    width: int | None = None
+    aim: Aim = field(default_factory=Aim)
+    finish: Finish = field(default_factory=Finish)
+
+    def of(self, output: str) -> str:
+        """The kind of file that is written."""
+        kind = Path(output).suffix.lower()
+        return kind if kind in (*SUFFIXES, FILM) else self.suffix
+
+    def draws(self, output: str) -> bool:
+        """Whether that is a picture or a film."""
+        return self.of(output) in (*PICTURES, FILM)
+
+    def unused(self, output: str) -> list[str]:
+        """What is asked for and does not show in that kind of file; `Aim.up` turns the light in any case."""
+        kind = self.of(output)
+        asked = {
+            "width": self.width is not None,
+            "look_at": self.aim.look_at is not None,
+            "fov": self.aim.fov is not None,
+            "background": self.finish.background != TRANSPARENT,
+        }
+        given = [] if self.draws(output) else [name for name, is_asked in asked.items() if is_asked]
+        return [*given, *(["exposure"] if kind == ".npz" and self.finish.exposure else [])]
+
+
 def write_relit(
     output: str,
     packed: CompressedTransfer,
     series: Series,
-    suffix: str,
-    width: int | None,
+    wish: Wish,
     report: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Write radiance as what the name of the output says.
@@ -49,51 +95,61 @@ def write_relit(
     packed : CompressedTransfer
         Its mesh and its camera draw the radiance.
     series : Series
-    suffix : one of `SUFFIXES`
-        Of the files, where the output is a folder.
-    width : int, optional
-        Of pictures, in pixels.
+    wish : Wish
     report : callable
         Given a line about each thing worth knowing.
     """
     mesh, kind = packed.mesh, Path(output).suffix.lower()
-    several = kind not in (*SUFFIXES, FILM)
-    camera = None
-    if kind in (*PICTURES, FILM) or (several and suffix in PICTURES):
-        camera = relit_camera(packed, width)
+    shots = None
+    if unused := wish.unused(output):
+        report(f"{output}: {', '.join(f'`{name}`' for name in unused)} have no effect on {wish.of(output)} files")
+    if wish.draws(output):
+        camera = relit_camera(packed, wish.width, wish.aim)
         if not camera.alpha.any():
             report(f"{output}: the camera sees no front of any surface; the picture is empty")
-    if several:
-        write_series(output, series.names, mesh, series.radiance, suffix, camera)
+        shots = Shots(camera, wish.finish, series.environments)
+    if kind not in (*SUFFIXES, FILM):
+        write_series(output, series, mesh, wish, shots)
     elif kind == ".npz":
-        write_radiance(output, mesh, series.radiance if len(series.names) > 1 else series.radiance[0])
+        write_radiance(output, mesh, series.radiance if len(series.names) > 1 else series.radiance[0], series.names)
     elif kind == ".ply":
-        scale = write_coloured_mesh(output, mesh, series.radiance[0])
+        scale = write_coloured_mesh(output, mesh, series.radiance[0], factor=wish.finish.factor)
         report(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
     elif kind == FILM:
-        assert camera is not None
-        write_film(output, camera, series.radiance)
+        assert shots is not None
+        write_film(output, shots, series.radiance)
     else:
-        assert camera is not None
-        write_picture(output, camera.picture(series.radiance[0]))
+        assert shots is not None
+        write_picture(output, *shots.take(series.radiance[0], 0), finish=wish.finish)
 
 
-def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray) -> None:
-    """``.npz`` with ``radiance`` (V, 3) or (B, V, 3) float32, linear RGB, and ``positions`` (V, 3) as in the mesh."""
+def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray, names: Sequence[str]) -> None:
+    """``.npz`` with radiance and the mesh.
+
+    ``radiance`` (V, 3) or (B, V, 3) float32, linear RGB; ``names`` (B,) of the lights; ``positions`` (V, 3) float64,
+    ``normals`` (V, 3) float32, ``faces`` (F, 3) int32.
+    """
     with atomic_output(path) as file:
-        np.savez(file, radiance=np.asarray(radiance, dtype=np.float32), positions=mesh.positions)
+        np.savez(
+            file,
+            radiance=np.asarray(radiance, dtype=np.float32),
+            names=np.array(names, dtype=np.str_),
+            positions=mesh.positions,
+            normals=mesh.normals.astype(np.float32),
+            faces=mesh.faces,
+        )
 
 
-def write_coloured_mesh(path: str | Path, mesh: Mesh, radiance: NDArray, scale: float | None = None) -> float:
-    """``.ply`` with tone-mapped sRGB colours per vertex; returns the exposure that they were scaled with."""
+def write_coloured_mesh(
+    path: str | Path, mesh: Mesh, radiance: NDArray, scale: float | None = None, factor: float = 1.0
+) -> float:
+    """``.ply`` with tone-mapped sRGB colours per vertex.
+
+    Returns the exposure that they were scaled with: ``scale``, by default that of `exposure`, times ``factor``.
+    """
     vertices = _vertex_picture(mesh, radiance)
-    scale = exposure(vertices) if scale is None else scale
-    coloured = trimesh.Trimesh(
-        mesh.positions, mesh.faces, vertex_normals=mesh.normals, vertex_colors=to_srgb(vertices, scale)[0],
-        process=False,
-    )  # fmt: skip
-    with atomic_output(path) as file:
-        file.write(coloured.export(file_type="ply"))
+    scale = (exposure(vertices) if scale is None else scale) * factor
+    write_ply(path, mesh, to_srgb(vertices, scale)[0])
     return scale
 
 
@@ -102,41 +158,65 @@ def _vertex_picture(mesh: Mesh, radiance: NDArray) -> Picture:
     return Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
 
 
-def write_series(
-    folder: str | Path, names: Sequence[str], mesh: Mesh, radiance: NDArray, suffix: str, camera: Camera | None
-) -> None:
+@dataclass(frozen=True)
+class Shots:
+    """A camera, and how its pictures are shown.
+
+    Attributes
+    ----------
+    camera : Camera
+    finish : Finish
+    environments : tuple of Environment
+        One for each light, where the background is the map.
+    """
+
+    camera: Camera
+    finish: Finish
+    environments: tuple[Environment, ...] = ()
+
+    def take(self, radiance: NDArray, number: int) -> tuple[Picture, float]:
+        """The picture under one light, (V, 3), with the environment behind it, and what exposes it by itself."""
+        picture = self.camera.picture(radiance)
+        scale = exposure(picture)
+        if self.finish.background == MAP:
+            picture = picture.over(draw_backdrop(self.environments[number], self.camera.directions))
+        return picture, scale
+
+    def common_exposure(self, radiance: NDArray) -> float:
+        """One exposure for all lights (B, V, 3): that of the brightest."""
+        return min(exposure(self.camera.picture(one)) for one in radiance)
+
+
+def write_series(folder: str | Path, series: Series, mesh: Mesh, wish: Wish, shots: Shots | None) -> None:
     """One file for each light, all with the same exposure; complete or none of them.
 
     Parameters
     ----------
     folder : path
         Made if it is not there; its other files are left alone.
-    names : of the files, without the suffix
+    series : Series
+        Its names are those of the files.
     mesh : Mesh
-    radiance : (B, V, 3)
-    suffix : one of `SUFFIXES`
-    camera : Camera
+    wish : Wish
+    shots : Shots
         For pictures.
     """
     with _complete_folder(folder) as unfinished:
-        files = [(unfinished / f"{name}{suffix}", one) for name, one in zip(names, radiance, strict=True)]
-        if suffix == ".npz":
+        files = [
+            (unfinished / f"{name}{wish.suffix}", one) for name, one in zip(series.names, series.radiance, strict=True)
+        ]
+        if wish.suffix == ".npz":
+            for (path, one), name in zip(files, series.names, strict=True):
+                write_radiance(path, mesh, one, [name])
+        elif wish.suffix == ".ply":
+            scale = min(exposure(_vertex_picture(mesh, one)) for one in series.radiance)
             for path, one in files:
-                write_radiance(path, mesh, one)
-        elif suffix == ".ply":
-            scale = min(exposure(_vertex_picture(mesh, one)) for one in radiance)
-            for path, one in files:
-                write_coloured_mesh(path, mesh, one, scale)
+                write_coloured_mesh(path, mesh, one, scale, wish.finish.factor)
         else:
-            assert camera is not None
-            scale = _series_exposure(camera, radiance)
-            for path, one in files:
-                write_picture(path, camera.picture(one), scale)
-
-
-def _series_exposure(camera: Camera, radiance: NDArray) -> float:
-    """One exposure for all: that of the brightest."""
-    return min(exposure(camera.picture(one)) for one in radiance)
+            assert shots is not None
+            scale = shots.common_exposure(series.radiance)
+            for number, (path, one) in enumerate(files):
+                write_picture(path, shots.take(one, number)[0], scale, wish.finish)
 
 
 @contextmanager
@@ -180,8 +260,8 @@ def film_encoder() -> str:
         ) from None
 
 
-def write_film(path: str | Path, camera: Camera, radiance: NDArray) -> None:
-    """``.mp4`` of relit pictures (B, V, 3) over white, all with the same exposure.
+def write_film(path: str | Path, shots: Shots, radiance: NDArray) -> None:
+    """``.mp4`` of relit pictures (B, V, 3), over white unless there is a background, all with the same exposure.
 
     Raises
     ------
@@ -189,16 +269,20 @@ def write_film(path: str | Path, camera: Camera, radiance: NDArray) -> None:
         There is no encoder, or it fails.
     """
     encoder = film_encoder()
-    scale = _series_exposure(camera, radiance)
+    scale = shots.common_exposure(radiance) * shots.finish.factor
+    background = 1.0 if shots.finish.colour is None else shots.finish.colour
     # Encoders halve the resolution of colour: sides are even.
-    height, width = (n - n % 2 for n in camera.alpha.shape)
+    height, width = (n - n % 2 for n in shots.camera.alpha.shape)
     with atomic_output(path) as file, tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "film.mp4"
         command = [
             encoder, "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size",
             f"{width}x{height}", "-framerate", str(_FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(film),
         ]  # fmt: skip
-        frames = (to_srgb(camera.picture(one), scale)[:height, :width].tobytes() for one in radiance)
+        frames = (
+            to_srgb(shots.take(one, number)[0], scale, background)[:height, :width].tobytes()
+            for number, one in enumerate(radiance)
+        )
         run = subprocess.run(command, input=b"".join(frames), capture_output=True)
         if run.returncode != 0 or not film.is_file():
             said = run.stderr.decode(errors="replace").strip().splitlines()
@@ -209,8 +293,18 @@ def write_film(path: str | Path, camera: Camera, radiance: NDArray) -> None:
 # --- Before the work -------------------------------------------------------------------------------------------------
 
 
-def check_output(output: str, *inputs: str, several: bool) -> None:
-    """Raise UserError unless results can be written there: one, or several of them."""
+def check_output(output: str, inputs: Sequence[str | Path], names: Sequence[str], wish: Wish, *, several: bool) -> None:
+    """Raise UserError unless results can be written there, and none in the place of an input.
+
+    Parameters
+    ----------
+    output : str
+    inputs : paths
+    names : of the lights
+    wish : Wish
+    several : bool
+        Whether there are several results.
+    """
     suffix = Path(output).suffix.lower()
     if several and suffix in (".png", ".exr", ".ply"):
         raise UserError(f"{output}: is one file for several results; name a folder, or one .npz or .mp4")
@@ -225,5 +319,19 @@ def check_output(output: str, *inputs: str, several: bool) -> None:
         if suffix and not Path(output).is_dir():
             raise UserError(f"{output}: unknown kind of output '{suffix}'; name a folder, or one .npz or .mp4")
         check_folder(output)
+        for name in names:
+            file = Path(output) / f"{name}{wish.suffix}"
+            if file.exists():
+                check_writable(file, *inputs)
         return
     check_writable(output, *inputs)
+
+
+def check_source(output: str, packed: CompressedTransfer, file: str) -> None:
+    """Raise UserError if the output is the mesh or scene that the transfer file was made from, as far as that is known.
+
+    The file holds its path as it was given; where that is relative, it is also looked for beside the file.
+    """
+    source, folder = Path(packed.source), Path(file).parent
+    if packed.source and Path(output).is_file():
+        check_writable(output, source, folder / source, folder / source.name)

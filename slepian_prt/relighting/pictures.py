@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from PIL import ImageColor
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output
 from slepian_prt.renderer.variants import bitmap_module
+
+# What may stand behind a model beside a colour: nothing, or the environment.
+TRANSPARENT = "transparent"
+MAP = "map"
+
+# More stops than these leave the range of float32.
+_MOST_STOPS = 60.0
 
 
 class Picture(NamedTuple):
@@ -18,6 +29,69 @@ class Picture(NamedTuple):
 
     radiance: NDArray[np.float32]
     alpha: NDArray[np.float32]
+
+    def over(self, background: ArrayLike) -> Picture:
+        """The same before a background (3,) or (H, W, 3) of linear radiance; nothing is left uncovered."""
+        behind = (1.0 - self.alpha[..., None]) * np.asarray(background, dtype=np.float32)
+        return Picture((self.radiance + behind).astype(np.float32), np.ones_like(self.alpha))
+
+
+@dataclass(frozen=True)
+class Finish:
+    """How a picture is shown.
+
+    Attributes
+    ----------
+    background : str
+        ``transparent``, ``map`` (the environment, behind the model), or a colour: a name of CSS or #rrggbb.
+    exposure : float
+        In stops, beside that of `exposure` where pictures are tone-mapped: each doubles what is shown.
+
+    Raises
+    ------
+    UserError
+        No such colour, or stops that are no number or too many.
+    """
+
+    background: str = TRANSPARENT
+    exposure: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.background not in (TRANSPARENT, MAP):
+            _parse_colour(self.background)
+        try:
+            stops = float(self.exposure)
+        except (TypeError, ValueError):
+            stops = math.nan
+        if not abs(stops) <= _MOST_STOPS:
+            raise UserError(
+                f"exposure must be a number of stops between -{_MOST_STOPS:g} and {_MOST_STOPS:g}, "
+                f"not {self.exposure!r}"
+            )
+        object.__setattr__(self, "exposure", stops)
+
+    @cached_property
+    def colour(self) -> NDArray[np.float64] | None:
+        """(3,) linear radiance of a plain background, or None."""
+        if self.background in (TRANSPARENT, MAP):
+            return None
+        return from_srgb(np.array(_parse_colour(self.background)) / 255.0)
+
+    @property
+    def factor(self) -> float:
+        """What the exposure multiplies radiance by."""
+        return 2.0**self.exposure
+
+
+def _parse_colour(name: Any) -> tuple[int, ...]:
+    known = isinstance(name, str) and (name.startswith("#") or name.lower() in ImageColor.colormap)
+    try:
+        colour: tuple[int, ...] = ImageColor.getrgb(name) if known else ()
+    except ValueError:
+        colour = ()
+    if len(colour) != 3:
+        raise UserError(f"background must be transparent, map, a colour such as white, or #rrggbb; not {name!r}")
+    return colour
 
 
 def split_alpha(pixels: NDArray) -> Picture:
@@ -37,41 +111,69 @@ def exposure(picture: Picture, target: float = 0.85) -> float:
     return target / level if level > 0.0 else 1.0
 
 
-def to_srgb(picture: Picture, scale: float = 1.0, background: float = 1.0) -> NDArray[np.uint8]:
-    """8-bit sRGB over a plain background; radiance times ``scale``, bright parts rolled off above 0.8."""
+def from_srgb(values: NDArray) -> NDArray[np.float64]:
+    """Linear light from sRGB values in [0, 1] (IEC 61966-2-1)."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def tone_map(picture: Picture, scale: float = 1.0, background: ArrayLike = 1.0) -> NDArray[np.float64]:
+    """sRGB in [0, 1] over a plain background; radiance times ``scale``, bright parts rolled off above 0.8."""
     linear = np.maximum(picture.radiance * scale, 0.0)
     knee = 0.8
     linear = np.where(linear > knee, knee + (1 - knee) * np.tanh((linear - knee) / (1 - knee)), linear)
-    linear = linear + (1.0 - picture.alpha[..., None]) * background
+    linear = linear + (1.0 - picture.alpha[..., None]) * np.asarray(background)
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-8) ** (1 / 2.4) - 0.055)
-    return (np.clip(encoded, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return np.clip(encoded, 0.0, 1.0)
 
 
-def write_picture(path: str | Path, picture: Picture, scale: float | None = None) -> None:
-    """Write ``.exr`` (linear radiance and alpha, float32) or ``.png`` (tone-mapped, transparent background).
+def to_srgb(picture: Picture, scale: float = 1.0, background: ArrayLike = 1.0) -> NDArray[np.uint8]:
+    """`tone_map` in 8 bits."""
+    return (tone_map(picture, scale, background) * 255.0 + 0.5).astype(np.uint8)
 
-    ``scale`` is the exposure of a ``.png``, by default that of `exposure`.
+
+def display(picture: Picture, scale: float, background: NDArray | None = None) -> NDArray[np.float64]:
+    """(H, W, 4) in [0, 1] as screens show it: tone-mapped sRGB and opacity, which are not multiplied.
+
+    Before a plain background (3,) of linear radiance, which is not tone-mapped, nothing is transparent.
+    """
+    if background is not None:
+        return np.dstack([tone_map(picture, scale, background), np.ones_like(picture.alpha)])
+    opaque = (picture.radiance / np.maximum(picture.alpha, 1e-4)[..., None]).astype(np.float32)
+    return np.dstack([tone_map(Picture(opaque, np.ones_like(picture.alpha)), scale), picture.alpha])
+
+
+def linear(picture: Picture, factor: float = 1.0, background: NDArray | None = None) -> NDArray[np.float32]:
+    """(H, W, 4) linear radiance times a factor, and opacity that it is multiplied by, as ``.exr`` holds them."""
+    exposed = Picture((picture.radiance * factor).astype(np.float32), picture.alpha)
+    return np.dstack(exposed if background is None else exposed.over(background)).astype(np.float32)
+
+
+def write_picture(path: str | Path, picture: Picture, scale: float | None = None, finish: Finish | None = None) -> None:
+    """Write ``.exr`` (linear radiance and alpha, float32) or ``.png`` (tone-mapped).
+
+    Parameters
+    ----------
+    path : path
+    picture : Picture
+        An environment behind it is already in it.
+    scale : float, optional
+        Exposure of a ``.png``, by default that of `exposure`.
+    finish : Finish, optional
 
     Raises
     ------
     UserError
         Another suffix, or a folder that cannot be written to.
     """
-    path = Path(path)
+    path, finish = Path(path), finish or Finish()
     mi = bitmap_module()
     if path.suffix.lower() == ".exr":
-        bitmap = mi.Bitmap(np.dstack([picture.radiance, picture.alpha]).astype(np.float32), pixel_format=_rgba(mi))
+        bitmap = mi.Bitmap(linear(picture, finish.factor, finish.colour), pixel_format=_rgba(mi))
         encoded = mi.Bitmap.FileFormat.OpenEXR
     elif path.suffix.lower() == ".png":
-        colour = to_srgb(
-            Picture(
-                (picture.radiance / np.maximum(picture.alpha, 1e-4)[..., None]).astype(np.float32),
-                np.ones_like(picture.alpha),
-            ),
-            exposure(picture) if scale is None else scale,
-        )
-        opacity = (picture.alpha * 255.0 + 0.5).astype(np.uint8)
-        bitmap = mi.Bitmap(np.dstack([colour, opacity]), pixel_format=_rgba(mi))
+        scale = exposure(picture) if scale is None else scale
+        shown = display(picture, scale * finish.factor, finish.colour)
+        bitmap = mi.Bitmap((shown * 255.0 + 0.5).astype(np.uint8), pixel_format=_rgba(mi))
         bitmap.set_srgb_gamma(True)
         encoded = mi.Bitmap.FileFormat.PNG
     else:

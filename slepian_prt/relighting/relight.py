@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.operator import transfer_operator
+from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.transfer import Transfer
 
 # Sampling noise, relative to the largest radiance: what is negative by less does not count.
 _NOISE = 0.01
 
 
-def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDArray[np.float32]:
+def relight(
+    transfer: Transfer | CompressedTransfer, lighting: str | Path | Environment | ArrayLike, *, up: str = "y"
+) -> NDArray[np.float32]:
     """B(x) = ρ(x) Σ e_lm t_lm(x).
 
     The first call of a compressed transfer prepares it; each further one takes about as long as reading its
@@ -24,8 +32,11 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
     Parameters
     ----------
     transfer : Transfer (full SH) or CompressedTransfer
-    lighting : (3, (L+1)²), or (B, 3, (L+1)²) for B lights at once
-        From `project_environment`, at the bandlimit of the transfer.
+    lighting : path of a map, Environment, coefficients (3, (L+1)²), or (B, 3, (L+1)²) for B lights at once
+        Coefficients are those of `project_environment`, at the bandlimit of the transfer.
+    up : "y" or "z"
+        The axis of the model that what is above in the lighting (y) shines from: of a scan that lies on its back where
+        y is up, z.
 
     Returns
     -------
@@ -34,9 +45,9 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
     Raises
     ------
     UserError
-        Lighting of another shape, or not finite.
+        Lighting of another shape, or not finite; a map that cannot be used.
     """
-    lights = _checked_lighting(lighting, transfer.bandlimit)
+    lights = stand_lighting(lighting, transfer.bandlimit, up)
     several = lights.reshape(-1, *lights.shape[-2:])
     if isinstance(transfer, CompressedTransfer):
         radiance = transfer_operator(transfer).apply(several)
@@ -46,6 +57,17 @@ def relight(transfer: Transfer | CompressedTransfer, lighting: ArrayLike) -> NDA
     if not np.all(albedo == 1.0):
         radiance *= albedo
     return radiance if lights.ndim == 3 else radiance[0]
+
+
+def stand_lighting(
+    lighting: str | Path | Environment | ArrayLike, bandlimit: int, up: str = "y"
+) -> NDArray[np.float64]:
+    """Coefficients (3, (L+1)²) or (B, 3, (L+1)²) of what `relight` takes for lighting, where ``up`` is up."""
+    if isinstance(lighting, str | Path | Environment) or hasattr(lighting, "is_environment"):
+        return project_environment(lighting, bandlimit, rotate=up_rotation(up))
+    lights = _checked_lighting(lighting, bandlimit)
+    turn = up_rotation(up)
+    return lights if up == "y" else rotate_sh(lights, turn)
 
 
 def _checked_lighting(lighting: ArrayLike, bandlimit: int) -> NDArray[np.float64]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.environment import about_up, check_names
+from slepian_prt.lighting.environment import Environment, about_up, check_names, read_environment
 from slepian_prt.lighting.projection import project_checked
 from slepian_prt.lighting.windowing import window
 from slepian_prt.relighting.damping import damp
 from slepian_prt.relighting.relight import negative_fraction, relight
+from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.rotation import rotate_sh
 
 LARGEST_TURNTABLE = 3600
@@ -38,6 +39,10 @@ class Lights:
         None for one that leaves hardly anything negative.
     clamp_negative : bool
         Whether negative texels that matter are set to zero; they are refused otherwise.
+    up : "y" or "z"
+        The axis of the model that what is above in a map shines from. The scene's own light stays as it is.
+    shown : bool
+        Whether the maps are seen in pictures too.
 
     Raises
     ------
@@ -51,9 +56,16 @@ class Lights:
     window: str | None = None
     window_width: float | None = None
     clamp_negative: bool = False
+    up: str = "y"
+    shown: bool = False
 
     def __post_init__(self) -> None:
-        about_up(self.rotate)
+        about_axis(self.up, self.rotate)
+        if self.shown and not self.maps:
+            raise UserError(
+                "the light of the scene is kept as spherical harmonics, which are no background; name its map with "
+                "`environment`"
+            )
         if self.turntable is not None:
             if not 1 <= self.turntable <= LARGEST_TURNTABLE:
                 raise UserError(f"turntable must be between 1 and {LARGEST_TURNTABLE} results, not {self.turntable}")
@@ -70,6 +82,30 @@ class Lights:
         """Whether there is more than one."""
         return self.turntable is not None or len(self.maps) > 1
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the results, for files."""
+        if self.turntable is not None:
+            return tuple(f"{number:04d}" for number in range(self.turntable))
+        return tuple(Path(path).stem for path in self.maps) or ("scene",)
+
+    @property
+    def turns(self) -> list[NDArray[np.float64]]:
+        """Rotation matrices of the turntable."""
+        count = self.turntable or 1
+        return [about_axis(self.up, number * 360.0 / count) for number in range(count)]
+
+    @property
+    def stand(self) -> NDArray[np.float64]:
+        """The rotation that maps are put up with."""
+        return up_rotation(self.up) @ about_up(self.rotate)
+
+
+def about_axis(up: str, degrees: float) -> NDArray[np.float64]:
+    """Rotation matrix about the axis ``up`` by an angle in degrees, counter-clockwise seen from above."""
+    stand = up_rotation(up)
+    return stand @ about_up(degrees) @ stand.T
+
 
 @dataclass(frozen=True)
 class Series:
@@ -79,10 +115,13 @@ class Series:
     ----------
     names : for files
     radiance : (B, V, 3) float32
+    environments : tuple of Environment
+        The lights as they stand, if they are to be seen.
     """
 
     names: tuple[str, ...]
     radiance: NDArray[np.float32]
+    environments: tuple[Environment, ...] = ()
 
 
 def relight_series(
@@ -104,13 +143,12 @@ def relight_series(
     UserError
         A map that cannot be used, or no light at all.
     """
-    names, lighting = _project_lights(packed, lights, file, report)
+    lighting = _project_lights(packed, lights, file, report)
     if lights.window is not None:
-        lighting = _damp_lights(packed, names, lighting, lights.window, lights.window_width, report)
+        named = lights.names if lights.turntable is None else [Path(path).stem for path in lights.maps] or ["scene"]
+        lighting = _damp_lights(packed, named, lighting, lights.window, lights.window_width, report)
     if lights.turntable is not None:
-        turns = np.arange(lights.turntable) * 360.0 / lights.turntable
-        lighting = np.stack([rotate_sh(lighting[0], about_up(float(turn))) for turn in turns])
-        names = tuple(f"{number:04d}" for number in range(lights.turntable))
+        lighting = np.stack([rotate_sh(lighting[0], turn) for turn in lights.turns])
     radiance = relight(packed, lighting)
     negative = max(negative_fraction(one) for one in radiance)
     if negative > 0.0:
@@ -120,31 +158,42 @@ def relight_series(
             f"{most}{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit"
             f"{remedy})"
         )
-    return Series(names, radiance)
+    return Series(lights.names, radiance, _read_environments(lights) if lights.shown else ())
+
+
+def _read_environments(lights: Lights) -> tuple[Environment, ...]:
+    """The maps as they stand, one for each result."""
+    stood = [
+        replace(light, to_world=lights.stand @ light.to_world)
+        for light in (read_environment(path, clamp_negative=lights.clamp_negative) for path in lights.maps)
+    ]
+    if lights.turntable is None:
+        return tuple(stood)
+    return tuple(replace(stood[0], to_world=turn @ stood[0].to_world) for turn in lights.turns)
 
 
 def _project_lights(
     packed: CompressedTransfer, lights: Lights, file: str, report: Callable[[str], None]
-) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Names, and lighting (B, 3, (L+1)²)."""
+) -> NDArray[np.float64]:
+    """Lighting (B, 3, (L+1)²)."""
     if not lights.maps:
         if packed.lighting is None:
             raise UserError(f"{file}: the scene has no light of its own; name a map with `environment`")
-        return ("scene",), rotate_sh(packed.lighting, about_up(lights.rotate))[None]
+        return rotate_sh(packed.lighting, about_axis(lights.up, lights.rotate))[None]
     projected = []
     for path in lights.maps:
         lighting, clamped = project_checked(
-            path, packed.bandlimit, rotate=lights.rotate, clamp_negative=lights.clamp_negative
+            path, packed.bandlimit, rotate=lights.stand, clamp_negative=lights.clamp_negative
         )
         if clamped:
             report(f"{path}: {clamped} negative texels set to zero")
         projected.append(lighting)
-    return tuple(Path(path).stem for path in lights.maps), np.stack(projected)
+    return np.stack(projected)
 
 
 def _damp_lights(
     packed: CompressedTransfer,
-    names: tuple[str, ...],
+    names: Sequence[str],
     lighting: NDArray[np.float64],
     window: str,
     width: float | None,

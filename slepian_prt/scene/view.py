@@ -1,12 +1,36 @@
-"""A perspective camera as plain data, kept with the transfer that was made in its scene."""
+"""Perspective cameras as plain data: a scene's own, one that was asked for, or one that frames a model."""
 
 from __future__ import annotations
 
+<<<<<<< HEAD
+=======
+import math
+>>>>>>> views
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+<<<<<<< HEAD
 from numpy.typing import ArrayLike
+=======
+from numpy.typing import ArrayLike, NDArray
+
+from slepian_prt.errors import UserError, check_choice
+
+# Axes that may point up.
+UPS = ("y", "z")
+
+# Without a scene's camera: the angle across the width of a camera that is placed by hand; of one that frames a model,
+# the angle across the height, the part of the picture that stays empty on each side, and how high above the model it
+# stands.
+_FOV = 35.0
+_FRAMING_FOV = 28.0
+_MARGIN = 0.04
+_COSINE, _SINE = math.cos(math.radians(10.0)), math.sin(math.radians(10.0))
+
+# Directions closer to each other than this leave no sense of what is up.
+_PARALLEL = 1e-6
+>>>>>>> views
 
 
 @dataclass(frozen=True)
@@ -42,6 +66,175 @@ class View:
     def as_dict(self) -> dict[str, Any]:
         """The attributes by name, for files."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Where a picture is wanted from; what is None is left to the scene's camera, or chosen so that all is seen.
+
+    Attributes
+    ----------
+    look_at : (origin, target) or None
+        Two points of world space.
+    fov : float or None
+        Across the width, in degrees.
+    up : "y", "z" or None
+        The axis that points up in the picture.
+
+    Raises
+    ------
+    UserError
+        Points that are not three finite numbers, or the same; a look straight up or down; an angle outside (0, 180).
+    """
+
+    look_at: tuple[ArrayLike, ArrayLike] | None = None
+    fov: float | None = None
+    up: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.up is not None:
+            check_choice(self.up, "up", UPS)
+        if self.fov is not None:
+            object.__setattr__(self, "fov", _checked_fov(self.fov))
+        if self.look_at is not None:
+            object.__setattr__(self, "look_at", _checked_points(self.look_at))
+            origin, target = self.points
+            look_matrix(origin, target - origin, self.axis)
+
+    @property
+    def asked(self) -> bool:
+        """Whether anything is asked for."""
+        return any(value is not None for value in (self.look_at, self.fov, self.up))
+
+    @property
+    def axis(self) -> str:
+        """The axis that points up, by default y."""
+        return self.up or "y"
+
+    @property
+    def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Origin and target of ``look_at``."""
+        assert self.look_at is not None
+        origin, target = (np.array(point, dtype=np.float64) for point in self.look_at)
+        return origin, target
+
+
+def _checked_fov(fov: Any) -> float:
+    try:
+        angle = float(fov)
+    except (TypeError, ValueError):
+        angle = math.nan
+    if not 0.0 < angle < 180.0:
+        raise UserError(f"fov must be an angle between 0 and 180 degrees, not {fov!r}")
+    return angle
+
+
+def _checked_points(look_at: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    try:
+        points = np.array(look_at, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.zeros(0)
+    if points.shape != (2, 3) or not np.all(np.isfinite(points)):
+        raise UserError(f"look_at must be two points of three finite numbers, origin and target, not {look_at!r}")
+    if np.linalg.norm(points[1] - points[0]) <= 1e-12 * np.abs(points).max():
+        raise UserError(f"look_at must be two different points; origin and target are both {points[0].tolist()}")
+    origin, target = (tuple(point.tolist()) for point in points)
+    return origin, target
+
+
+def up_rotation(up: str) -> NDArray[np.float64]:
+    """(3, 3) rotation that takes what is above in a y-up world, such as the sky of a map, to the axis ``up``.
+
+    For z it is the quarter turn about x that takes y to z and the front, +z, to -y: how a y-up model is imported where
+    z is up.
+    """
+    check_choice(up, "up", UPS)
+    if up == "y":
+        return np.eye(3)
+    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def look_matrix(origin: NDArray, direction: NDArray, up: str) -> NDArray[np.float64]:
+    """(4, 4) matrix of a camera as Mitsuba has it: its x is left in the picture, y up, and it looks along z.
+
+    Raises
+    ------
+    UserError
+        The camera looks along the axis that is up.
+    """
+    direction = direction / np.linalg.norm(direction)
+    left = np.cross(up_rotation(up)[:, 1], direction)
+    length = float(np.linalg.norm(left))
+    if length < _PARALLEL:
+        other = "y" if up == "z" else "z"
+        raise UserError(
+            f"`look_at` looks along the axis {up}, which is to be up in the picture; move the origin aside, or give "
+            f"`up={other}`"
+        )
+    left /= length
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([left, np.cross(direction, left), direction, origin], axis=1)
+    return matrix
+
+
+def aimed_view(aim: Aim, own: View | None, points: NDArray[np.float64], width: int) -> View:
+    """The camera that is asked for.
+
+    Parameters
+    ----------
+    aim : Aim
+    own : View or None
+        The scene's camera: what is not asked for is as there.
+    points : (n, 3)
+        Of what is to be seen, in world space.
+    width : int
+        In pixels, without a camera of the scene.
+    """
+    if aim.look_at is not None:
+        origin, target = aim.points
+        near, far = _clip(origin, points)
+        size = (width, max(1, round(0.75 * width))) if own is None else (own.width, own.height)
+        fov = aim.fov or (_FOV if own is None else own.fov)
+        return View("look_at", look_matrix(origin, target - origin, aim.axis).tolist(), fov, *size, near, far)
+    if own is None:
+        return _framing_view(aim, points, width)
+    if aim.fov is not None:
+        own = replace(own, fov=aim.fov)
+    if aim.up is not None:
+        matrix = np.array(own.to_world)
+        own = replace(own, to_world=look_matrix(matrix[:3, 3], matrix[:3, 2], aim.up).tolist())
+    return own
+
+
+def _framing_view(aim: Aim, points: NDArray[np.float64], width: int) -> View:
+    """A camera in front of the points and a little above, that sees them all with a margin around."""
+    turn = up_rotation(aim.axis)
+    right, up, toward = (turn @ axis for axis in ([1.0, 0.0, 0.0], [0.0, _COSINE, -_SINE], [0.0, _SINE, _COSINE]))
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = max(float(np.linalg.norm(points - center, axis=1).max()), 1e-12 * float(np.abs(center).max()), 1e-30)
+    x, y, depth = ((points - center) @ axis for axis in (right, up, toward))
+    aspect = float(np.clip(np.ptp(x) / max(np.ptp(y), 1e-6 * radius), 0.6, 1.8))
+    across = aim.fov or math.degrees(2.0 * math.atan(aspect * math.tan(math.radians(_FRAMING_FOV / 2.0))))
+    tangent = (1.0 - 2.0 * _MARGIN) * math.tan(math.radians(across / 2.0))
+    # From the place (m, d) a point at x is seen if |x - m| <= tangent (d - depth): the nearest place where both sides
+    # are tight is m = (a - b)/2, d = (a + b)/(2 tangent), with the largest x + tangent depth as a, that of -x as b.
+    middle, nearest = [], [1.2 * radius]
+    for offset, slope in ((x, tangent), (y, tangent / aspect)):
+        first, second = (float((side * offset + slope * depth).max()) for side in (1.0, -1.0))
+        middle.append(0.5 * (first - second))
+        nearest.append(0.5 * (first + second) / slope)
+    distance = max(nearest)
+    origin = center + middle[0] * right + middle[1] * up + distance * toward
+    matrix = look_matrix(origin, -toward, aim.axis)
+    near, far = _clip(origin, points)
+    return View("framing", matrix.tolist(), across, width, max(1, round(width / aspect)), near, far)
+
+
+def _clip(origin: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[float, float]:
+    """Clipping distances that cut off nothing near the points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = max(float(np.linalg.norm(high - low)), 1e-30)
+    return 1e-4 * size, 1e3 * (size + float(np.linalg.norm(origin - 0.5 * (low + high))))
 
 
 def view_of(mi: Any, sensor: Any) -> View | None:

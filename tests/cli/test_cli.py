@@ -33,6 +33,8 @@ def folder(tmp_path_factory) -> Path:
     broken[4, 4] = -500.0
     mi.Bitmap(broken).write(str(folder / "negative.exr"))
     mi.Bitmap(np.ones((16, 16, 3), dtype=np.float32)).write(str(folder / "square.exr"))
+    for name in ("other.exr", "ladder.png"):
+        (folder / name).write_bytes((folder / "map.exr").read_bytes())
     assert run(["precompute", folder / "ball.ply", "-o", folder / "ball.prt", *SMALL]) == 0
     (folder / "cut.prt").write_bytes((folder / "ball.prt").read_bytes()[:5000])
     return folder
@@ -71,6 +73,33 @@ def test_relight(suffix, folder, capsys):
     assert run(["relight", folder / "ball.prt", "--environment", folder / "map.exr", "-o", out, "--width", "64"]) == 0
     assert out.stat().st_size > 100
     assert "642 vertices under map.exr" in capsys.readouterr().out
+
+
+def test_pictures_as_asked_for(folder, capsys):
+    """From another side, before a colour or the map, brighter: what the options say reaches the picture."""
+    arguments = ["relight", folder / "ball.prt", "--environment", folder / "map.exr", "--width", "32", "-o"]
+    given = {
+        "plain": [],
+        "side": ["--look-at", "9,0,0", "0,0,0"],
+        "wide": ["--fov", "90"],
+        "lying": ["--up", "z"],
+        "white": ["--background", "white"],
+        "map": ["--background", "map"],
+        "bright": ["--exposure", "1"],
+    }
+    pictures = {}
+    for name, options in given.items():
+        assert run([*arguments, folder / f"{name}_picture.exr", *options]) == 0
+        pictures[name] = np.array(bitmap_module().Bitmap(str(folder / f"{name}_picture.exr")))
+    assert "have no effect" not in capsys.readouterr().err
+    plain = pictures["plain"]
+    assert all(other.shape != plain.shape or (other != plain).any() for n, other in pictures.items() if n != "plain")
+    assert pictures["side"].shape == (24, 32, 4)
+    np.testing.assert_allclose(pictures["white"][0, 0], 1.0)
+    assert 0.0 < pictures["map"][0, 0, :3].min() < 1.0
+    np.testing.assert_allclose(pictures["bright"][..., :3], 2.0 * plain[..., :3], rtol=1e-6)
+    assert run([*arguments, folder / "lit.npz", "--fov", "30"]) == 0
+    assert "--width, --fov have no effect on .npz files" in capsys.readouterr().err
 
 
 def test_rotation_changes_the_light(folder):
@@ -158,6 +187,61 @@ BAD = {
     ),
     "no report name": (["compare", "{}/ball.ply", "--environment", "{}/map.exr", "-o", ""], "folder is empty"),
     "folder as map": (["relight", "{}/ball.prt", "--environment", "{}", "-o", "{}/x.png"], "is a folder"),
+    "mesh as file": (["info", "{}/ball.ply"], "is a mesh, not a transfer file; first run: slepian-prt precompute"),
+    "relight a mesh": (
+        ["relight", "{}/ball.ply", "--environment", "{}/map.exr", "-o", "{}/x.png"],
+        "is a mesh, not a transfer file; first run: slepian-prt precompute",
+    ),
+    "over the mesh of the file": (
+        ["relight", "{}/ball.prt", "--environment", "{}/map.exr", "-o", "{}/ball.ply"],
+        "is the input",
+    ),
+    "over the map, in a folder": (
+        [
+            "relight",
+            "{}/ball.prt",
+            "--environment",
+            "{}/map.exr",
+            "--environment",
+            "{}/other.exr",
+            "--format",
+            "exr",
+            "-o",
+            "{}",
+        ],
+        "is the input",
+    ),
+    **{
+        f"{command} {' '.join(given)}": (
+            [command, f"{{}}/ball.{suffix}", "--environment", "{}/map.exr", "-o", f"{{}}/{output}", *given],
+            message,
+        )
+        for command, suffix, output in (("relight", "prt", "x.png"), ("compare", "ply", "x"))
+        for given, message in (
+            (["--look-at", "1,2,3", "1,2,3"], "--look-at must be two different points"),
+            (["--look-at", "1,2", "1,2,3"], "--look-at must be two points X,Y,Z"),
+            (["--look-at", "1,2,nan", "1,2,3"], "finite numbers"),
+            (["--look-at", "0,9,0", "0,1,0"], "--look-at looks along the axis y, which is to be up"),
+            (["--look-at", "0,0,9", "0,0,0", "--up", "z"], "give --up y"),
+            (["--fov", "180"], "--fov must be an angle between 0 and 180"),
+            (["--fov", "nan"], "--fov must be an angle"),
+            (["--up", "x"], "--up"),
+            (["--background", "blueish"], "--background must be transparent, map, a colour"),
+            (["--exposure", "nan"], "--exposure must be a number of stops"),
+        )
+    },
+    "map of a scene that has none": (
+        ["relight", "{}/ball.prt", "--background", "map", "-o", "{}/x.png"],
+        "name its map",
+    ),
+    "all and some": (
+        ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "--all", "--basis", "sh", "-o", "{}/x"],
+        "give one of the two",
+    ),
+    "report over a map": (
+        ["compare", "{}/ball.ply", "--environment", "{}/ladder.png", "-o", "{}"],
+        "a file of the report has this name",
+    ),
     "folder as file": (["info", "{}"], "is a folder"),
     "unknown command": (["fly"], "fly"),
 }

@@ -11,7 +11,7 @@ from slepian_prt.evaluation.reference import render_reference, vertex_reference
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.camera import trace_camera
-from slepian_prt.relighting.outputs import write_coloured_mesh, write_radiance
+from slepian_prt.relighting.outputs import write_radiance
 from slepian_prt.relighting.pictures import Picture, exposure, to_srgb, write_picture
 from slepian_prt.relighting.relight import relight
 from slepian_prt.renderer.variants import bitmap_module
@@ -162,23 +162,13 @@ def test_no_ray_slips_through_an_edge_to_a_bright_far_side(rng):
 
 def test_npz(tmp_path):
     mesh = sphere(1)
-    write_radiance(tmp_path / "out.npz", mesh, np.full((42, 3), 0.25))
+    write_radiance(tmp_path / "out.npz", mesh, np.full((42, 3), 0.25), ["studio"])
     with np.load(tmp_path / "out.npz", allow_pickle=False) as content:
         assert_exact(content["radiance"], np.full((42, 3), 0.25, dtype=np.float32), because="a copy")
         assert_exact(content["positions"], mesh.positions, because="a copy")
-
-
-def test_coloured_mesh_keeps_the_mesh_and_shades_by_radiance(tmp_path):
-    mesh = sphere(2)
-    radiance = np.repeat(0.5 + 0.5 * mesh.normals[:, 1:2], 3, axis=1)
-    write_coloured_mesh(tmp_path / "out.ply", mesh, radiance)
-    read = trimesh.load(tmp_path / "out.ply", process=False)
-    np.testing.assert_allclose(read.vertices, mesh.positions, atol=1e-6)
-    colours = read.visual.vertex_colors[:, 0].astype(float)
-    order = np.argsort(radiance[:, 0])
-    assert (np.diff(colours[order]) >= 0).all()
-    assert colours.max() > 200
-    assert colours.min() < 10
+        assert_exact(content["normals"], mesh.normals.astype(np.float32), because="a copy")
+        assert_exact(content["faces"], mesh.faces, because="a copy")
+        assert content["names"].tolist() == ["studio"]
 
 
 def test_pictures(tmp_path):

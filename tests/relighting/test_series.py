@@ -147,7 +147,7 @@ def test_without_an_encoder(monkeypatch):
     monkeypatch.setattr(outputs.shutil, "which", lambda _: None)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(UserError, match="films need ffmpeg"):
-        outputs.check_output("film.mp4", several=True)
+        outputs.check_output("film.mp4", [], ["a", "b"], outputs.Wish(), several=True)
 
 
 def test_series_that_fail_leave_nothing(folder, tmp_path, monkeypatch):
@@ -166,5 +166,5 @@ def test_series_that_fail_leave_nothing(folder, tmp_path, monkeypatch):
 
     monkeypatch.setattr(outputs, "write_radiance", fails)
     with pytest.raises(UserError, match="No space left on device"):
-        outputs.write_series(tmp_path / "out", series.names, packed.mesh, series.radiance, ".npz", None)
+        outputs.write_series(tmp_path / "out", series, packed.mesh, outputs.Wish(".npz"), None)
     assert list(tmp_path.iterdir()) == []
