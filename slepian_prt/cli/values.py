@@ -116,7 +116,7 @@ def read_maps(
 def read_transfer(file: str) -> CompressedTransfer:
     """The transfer file that is named; of a mesh or scene it is said how to make one."""
     from slepian_prt.compression.prt_file import load
-    from slepian_prt.scene.mesh import MESH_SUFFIXES
+    from slepian_prt.scene.mesh_files import MESH_SUFFIXES
 
     try:
         return load(file)

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-<<<<<<< HEAD
-=======
 import math
->>>>>>> views
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-<<<<<<< HEAD
-from numpy.typing import ArrayLike
-=======
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_choice
@@ -30,7 +24,6 @@ _COSINE, _SINE = math.cos(math.radians(10.0)), math.sin(math.radians(10.0))
 
 # Directions closer to each other than this leave no sense of what is up.
 _PARALLEL = 1e-6
->>>>>>> views
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ def interpolation_error(scene: Scene, seed: int) -> float:
     at_vertices, _ = _transfer(scene, None, vertices, normals[vertices], seed)
     at_points, closed = _transfer(scene, points, np.arange(_POINTS), points.normals, seed + 1)
     interpolated = np.einsum("pk,pkm->pm", weights, at_vertices[place])
-    dark = ~at_vertices.any(axis=1)
-    counted = ~dark[place].any(axis=1) & ~closed
+    dark: NDArray = ~np.any(at_vertices, axis=1)
+    counted = ~(dark[place].any(axis=1) | closed)
     size = float(np.linalg.norm(at_points[counted]))
     return float(np.linalg.norm((interpolated - at_points)[counted])) / size if size > 0.0 else 0.0
 
@@ -63,7 +63,7 @@ def _transfer(
     directions = direction_set(_NODES)
     samples = VisibilityTracer(scene, directions, seed, points).trace(rows)
     blocked = OcclusionTables(directions, _BANDLIMIT).blocked(samples)
-    closed = np.all(samples.blocked, axis=0)
+    closed: NDArray = np.asarray(np.all(samples.blocked, axis=0))
     vectors = zonal_vectors(cosine_lobe(_BANDLIMIT), normals).astype(np.float64) - blocked
     vectors[closed] = 0.0
     return vectors, closed
