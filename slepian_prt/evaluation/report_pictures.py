@@ -76,9 +76,9 @@ def _panel(
 def _map_png(view: View) -> bytes:
     """The environment map, made small, with its centre column the direction -x."""
     texels = view.environment.texels
-    step = max(1, texels.shape[0] // 128)
-    rows, columns = texels.shape[0] // step * step, texels.shape[1] // step * step
-    small = texels[:rows, :columns].reshape(rows // step, step, columns // step, step, 3).mean(axis=(1, 3))
+    down, across = (max(1, n // m) for n, m in zip(texels.shape[:2], (128, 256), strict=True))
+    rows, columns = texels.shape[0] // down * down, texels.shape[1] // across * across
+    small = texels[:rows, :columns].reshape(rows // down, down, columns // across, across, 3).mean(axis=(1, 3))
     picture = Picture(small, np.ones(small.shape[:2], dtype=np.float32))
     return encode_picture(to_srgb(picture, exposure(picture)))
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment, about_up
+from slepian_prt.lighting.map_rows import Checked, Rows
 from slepian_prt.lighting.sky import MAP_TO_SKY, SkyQuadrature, is_sky, sky_quadrature
 from slepian_prt.lighting.sky_map import sky_texels
 from slepian_prt.lighting.texel_projection import TexelProjection
@@ -51,11 +52,12 @@ class SkyEnvironment(Environment):
         return self.quadrature.project(self.samples, bandlimit, turn @ so_far)
 
 
-def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
+def emitted_environment(mi: Any, emitter: Any, origin: str, clamp_negative: bool = False) -> Environment:
     """A Mitsuba environment emitter (``envmap``, ``constant``, ``sunsky``, …) as a map.
 
     The texels of an ``envmap`` are taken as they are, with its scale and ``to_world``, whatever its shape; a
-    ``sunsky`` becomes a `SkyEnvironment`; others are averaged over each texel of a fixed grid.
+    ``sunsky`` becomes a `SkyEnvironment`; others are averaged over each texel of a fixed grid. What texels may be,
+    `Checked` says, as for files.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
     if is_sky(emitter):
         quadrature, samples = _sampled_sky(mi, emitter, origin)
         texels = sky_texels(quadrature, samples, lambda directions: evaluate(mi, emitter, directions))
-        made = _checked(texels, origin, quadrature.frame @ MAP_TO_SKY, emitter)
+        made = _checked(texels, origin, quadrature.frame @ MAP_TO_SKY, emitter, True)
         return SkyEnvironment(
             made.name, made.texels, made.to_world, quadrature=quadrature, samples=samples, emitter=emitter
         )
@@ -74,19 +76,20 @@ def emitted_environment(mi: Any, emitter: Any, origin: str) -> Environment:
         # Mitsuba repeats the last column before the first, and the first behind the last.
         texels = np.array(parameters["data"])[:, 1:-1, :3] * float(np.ravel(parameters["scale"])[0])
         mirrored, world = envmap_rotation(parameters["to_world"], origin)
-        return _checked(texels[:, ::-1] if mirrored else texels, origin, world, emitter)
+        return _checked(texels[:, ::-1] if mirrored else texels, origin, world, emitter, clamp_negative)
     grid = texel_grid(mi, emitter, origin)
-    return _checked(grid.averaged(evaluate(mi, emitter, grid.directions)), origin, grid.to_world, emitter)
+    averaged = grid.averaged(evaluate(mi, emitter, grid.directions))
+    return _checked(averaged, origin, grid.to_world, emitter, clamp_negative)
 
 
 def project_emitter(
-    mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64], origin: str
+    mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64], origin: str, clamp_negative: bool = False
 ) -> tuple[NDArray[np.float64], int]:
     """(3, (L+1)²) coefficients of an environment emitter, turned, and how many negative texels were set to zero."""
     if is_sky(emitter):
         quadrature, samples = _sampled_sky(mi, emitter, origin)
         return quadrature.project(samples, bandlimit, turn), 0
-    made = emitted_environment(mi, emitter, origin)
+    made = emitted_environment(mi, emitter, origin, clamp_negative)
     height, width = made.texels.shape[:2]
     return TexelProjection(height, width, bandlimit, turn @ made.to_world)(made.texels), made.clamped
 
@@ -96,11 +99,16 @@ def _sampled_sky(mi: Any, emitter: Any, origin: str) -> tuple[SkyQuadrature, NDA
     return quadrature, check_radiance(evaluate(mi, emitter, quadrature.directions), _named(origin, emitter))
 
 
-def _checked(texels: NDArray, origin: str, to_world: NDArray[np.float64], emitter: Any) -> Environment:
-    """Texels of any shape as an `Environment`, what is negative set to zero and counted."""
-    texels = check_radiance(np.asarray(texels, dtype=np.float32), _named(origin, emitter))
-    clamped = int((texels < 0.0).any(axis=2).sum())
-    return Environment("scene", np.maximum(texels, np.float32(0.0)), to_world, clamped)
+def _checked(
+    texels: NDArray, origin: str, to_world: NDArray[np.float64], emitter: Any, clamp_negative: bool
+) -> Environment:
+    """Texels of any shape as an `Environment`."""
+    named = _named(origin, emitter)
+    texels = check_radiance(np.asarray(texels, dtype=np.float32), named)
+    height, width = texels.shape[:2]
+    rows = Rows("scene", named, height, width, lambda begin, end: texels[begin:end], any_shape=True)
+    checked = Checked(rows, clamp_negative)
+    return Environment("scene", np.concatenate(list(checked)), to_world, checked.clamped)
 
 
 def _named(origin: str, emitter: Any) -> str:

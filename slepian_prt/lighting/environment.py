@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.map_files import file_rows
 from slepian_prt.lighting.map_rows import Checked, Rows, array_rows
-from slepian_prt.lighting.texel_projection import resample
 from slepian_prt.summary import Summarised
 
 
@@ -108,6 +107,6 @@ def checked_environment(rows: Rows, clamp_negative: bool) -> Environment:
     """All rows of a map, checked; at least the three that Mitsuba takes."""
     checked = Checked(rows, clamp_negative)
     image = np.concatenate(list(checked))
-    if len(image) < 3:  # the smallest that Mitsuba takes
-        image = resample(image, 3, max(image.shape[1], 6))
+    if len(image) < 3:  # the smallest that Mitsuba takes: it repeats the last row
+        image = np.concatenate([image, *[image[-1:]] * (3 - len(image))])
     return Environment(rows.name, image, np.eye(3), checked.clamped)

@@ -36,6 +36,8 @@ class Rows:
     height, width : int
     read : callable
         Gives rows ``begin : end`` as (end - begin, W, 3) float32.
+    any_shape : bool
+        Whether it need not be twice as wide as high: Mitsuba's ``envmap`` takes what it is given.
     """
 
     name: str
@@ -43,9 +45,10 @@ class Rows:
     height: int
     width: int
     read: Callable[[int, int], NDArray[np.float32]]
+    any_shape: bool = False
 
     def __post_init__(self) -> None:
-        check_shape(self.origin, self.height, self.width)
+        (check_size if self.any_shape else check_shape)(self.origin, self.height, self.width)
 
     def blocks(self) -> Iterator[NDArray[np.float32]]:
         """All rows from the top, a block at a time."""

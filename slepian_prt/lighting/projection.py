@@ -35,7 +35,7 @@ def project_environment(
     rotate : float or (3, 3)
         Degrees, counter-clockwise about the up axis y; or any rotation of the light.
     clamp_negative : bool
-        Of a path or an array: set negative texels to zero however much light they are.
+        Of all but an `Environment`: set negative texels to zero however much light they are.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def project_checked(
     """`project_environment`, and how many negative texels were set to zero."""
     turn = rotation_matrix(rotate)
     if hasattr(environment, "is_environment"):
-        return _of_emitter(environment, bandlimit, turn)
+        return _of_emitter(environment, bandlimit, turn, clamp_negative)
     if isinstance(environment, str | Path):
         rows = file_rows(environment)
     elif isinstance(environment, SkyEnvironment):
@@ -144,9 +144,11 @@ def rotation_matrix(rotate: float | ArrayLike) -> NDArray[np.float64]:
     return matrix
 
 
-def _of_emitter(emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+def _of_emitter(
+    emitter: Any, bandlimit: int, turn: NDArray[np.float64], clamp_negative: bool
+) -> tuple[NDArray[np.float64], int]:
     if not emitter.is_environment():
         raise UserError(f"emitter {emitter.class_name()} is no distant light; give an envmap, a sunsky or a constant")
     import mitsuba as mi
 
-    return project_emitter(mi, emitter, bandlimit, turn, "emitter")
+    return project_emitter(mi, emitter, bandlimit, turn, "emitter", clamp_negative)

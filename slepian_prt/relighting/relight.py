@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.lighting.projection import project_environment
+from slepian_prt.lighting.projection import lighting_at, project_environment
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.scene.view import up_rotation
-from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.transfer import Transfer
 
@@ -65,22 +63,9 @@ def stand_lighting(
     """Coefficients (3, (L+1)²) or (B, 3, (L+1)²) of what `relight` takes for lighting, where ``up`` is up."""
     if isinstance(lighting, str | Path | Environment) or hasattr(lighting, "is_environment"):
         return project_environment(lighting, bandlimit, rotate=up_rotation(up))
-    lights = _checked_lighting(lighting, bandlimit)
+    lights = lighting_at(lighting, bandlimit)
     turn = up_rotation(up)
     return lights if up == "y" else rotate_sh(lights, turn)
-
-
-def _checked_lighting(lighting: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
-    try:
-        lights = np.asarray(lighting, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise UserError("lighting must be numbers, as of project_environment") from None
-    wanted = (3, num_coefficients(bandlimit))
-    if lights.ndim not in (2, 3) or lights.shape[-2:] != wanted or lights.size == 0:
-        raise UserError(f"lighting must have shape {wanted} for bandlimit {bandlimit}, not {lights.shape}")
-    if not np.all(np.isfinite(lights)):
-        raise UserError("lighting must be finite; check the map that it was projected from")
-    return lights
 
 
 def _apply_vectors(vectors: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -261,7 +261,13 @@ def _lights(mi: Any, emitters: Sequence[Any], origin: str) -> tuple[Environment 
     environment, others = None, []
     for emitter in emitters:
         if emitter.is_environment():
-            environment = emitted_environment(mi, emitter, origin)
+            try:
+                environment = emitted_environment(mi, emitter, origin)
+            except UserError as error:  # transport does not need it; `relight` then asks for a map
+                log.info("%s; its own light is left out, so name a map to relight with", error)
+                continue
+            if emitter.class_name() == "TimedSunskyEmitter":
+                log.info("%s: of its timed_sunsky the light at time 0 is taken", origin)
             if environment.clamped:
                 log.info("%s: %d negative texels of its light set to zero", origin, environment.clamped)
         elif not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):

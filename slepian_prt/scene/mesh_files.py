@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +31,6 @@ _READERS: dict[str, Callable[[Path], MeshFile]] = {
     ".gltf": read_gltf,
 }
 MESH_SUFFIXES = tuple(_READERS)
-
-# Formats whose vertices at one place are one, so that computed normals go on across parts of different material. In the
-# others a vertex that is there twice marks a hard edge.
-_JOINED_BY_PLACE = (".obj", ".stl")
 
 
 def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
@@ -69,10 +65,10 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     file = _READERS[suffix](path)
     for note in file.notes:
         log.info("%s: %s", path, note)
-    return _join(file, path, crease_angle, suffix in _JOINED_BY_PLACE)
+    return _join(file, path, crease_angle)
 
 
-def _join(file: MeshFile, path: Path, crease_angle: float, by_place: bool) -> Mesh:
+def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
     parts = file.parts
     for part in parts:
         _check_faces(part, path)
@@ -92,15 +88,23 @@ def _join(file: MeshFile, path: Path, crease_angle: float, by_place: bool) -> Me
     if any(part.normals is not None for part in parts):
         missing = (np.full((n, 3), np.nan) for n in counts)
         normals = np.concatenate([m if p.normals is None else p.normals for p, m in zip(parts, missing, strict=True)])
-    groups = None
-    if by_place and len(parts) > 1:
-        groups = np.unique(positions, axis=0, return_inverse=True)[1].ravel()
+    points = _points(parts)
     if crease_angle < 180.0 and normals is None and len(faces) and np.all(np.isfinite(positions)):
-        places = np.unique(positions, axis=0, return_inverse=True)[1].ravel()
-        vertices, faces = split_at_creases(positions, faces, places, crease_angle)
-        positions, groups = positions[vertices], None
+        vertices, faces = split_at_creases(positions, faces, points, crease_angle)
+        positions, points = positions[vertices], np.arange(len(vertices))
         albedo = albedo[vertices] if isinstance(albedo, np.ndarray) else albedo
-    return complete_mesh(positions, faces, normals, albedo, MeshDetails(path.stem, str(path), groups, known, left_out))
+    return complete_mesh(positions, faces, normals, albedo, MeshDetails(path.stem, str(path), points, known, left_out))
+
+
+def _points(parts: Sequence[MeshPart]) -> NDArray[np.int64]:
+    """(V,) which point of the surface each vertex of all parts is, from 0 on."""
+    next_number = max((int(p.points.max(initial=-1)) + 1 for p in parts if p.points is not None), default=0)
+    numbers = [np.zeros(0, dtype=np.int64)]
+    for part in parts:
+        count = len(part.positions)
+        numbers.append(np.arange(next_number, next_number + count) if part.points is None else part.points)
+        next_number += count if part.points is None else 0
+    return np.unique(np.concatenate(numbers), return_inverse=True)[1].ravel()
 
 
 def _check_faces(part: MeshPart, path: Path) -> None:

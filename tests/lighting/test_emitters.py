@@ -304,14 +304,20 @@ def test_a_black_light_of_a_scene_is_nothing_to_compare_under():
         lights_of(SimpleNamespace(path="a.xml", environment=black), ())
 
 
-def test_negative_texels_of_an_emitter_are_counted():
+def test_negative_texels_of_an_emitter_follow_the_rule_for_maps():
+    """As of a file: what amounts to little is set to zero and counted, what matters is refused."""
     texels = np.ones((8, 8, 3), dtype=np.float32)
-    texels[3, 4] = -0.5
+    texels[3, 4] = -0.01
     with mitsuba() as mi:
         emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(texels)})
         lighting, clamped = project_emitter(mi, emitter, 2, np.eye(3), "test")
-    assert clamped == 1
-    np.testing.assert_allclose(lighting, TexelProjection(8, 8, 2)(np.maximum(texels, 0.0)), atol=1e-6)
+        assert clamped == 1
+        np.testing.assert_allclose(lighting, TexelProjection(8, 8, 2)(np.maximum(texels, 0.0)), atol=1e-6)
+        texels[3, 4] = -0.5
+        emitter = mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(texels)})
+        with pytest.raises(UserError, match="are negative"):
+            project_emitter(mi, emitter, 2, np.eye(3), "test")
+        assert project_emitter(mi, emitter, 2, np.eye(3), "test", clamp_negative=True)[1] == 1
 
 
 def test_light_of_any_kind_at_a_bandlimit(tmp_path, rng):

@@ -119,7 +119,7 @@ def test_other_kinds_of_openexr(kind, tmp_path, rng):
         channels = {f"sky.{name}": part for name, part in channels.items()} | {"Z": channels["R"]}
     if kind == "window":
         origin = np.array([5, 7], np.int32)
-        header["dataWindow"] = (origin, origin + np.array([63, 31], np.int32))
+        header["dataWindow"] = header["displayWindow"] = (origin, origin + np.array([63, 31], np.int32))
     with OpenEXR.File(header, channels) as file:
         file.write(str(tmp_path / "map.exr"))
     assert_exact(read_environment(tmp_path / "map.exr").texels, expected, because="a copy")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.formats.normals import smooth_normals
 from slepian_prt.scene.formats.obj import read_obj
 from tests.numerics import assert_exact
 
@@ -134,16 +133,9 @@ def test_colours_that_differ_at_a_position_do_not_break_the_surface(tmp_path):
     )
     (part,) = read(tmp_path, content).parts
     assert len(part.positions) == 6
-    assert_exact(part.normals[[1, 2]], part.normals[[3, 5]], "copies of one normal")
-    joined = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 1], [1, 1, 0]])
-    assert_exact(part.normals[:3], smooth_normals(joined, np.array([[0, 1, 2], [1, 3, 2]]))[:3], "the same sums")
-
-
-def test_normals_of_a_closed_surface_are_weighted_by_angles():
-    cube = np.array([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)])
-    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    faces = np.array([[q[0], q[k], q[k + 1]] for q in quads for k in (1, 2)] + [[0, 0, 1]])
-    np.testing.assert_allclose(smooth_normals(cube, faces), cube / np.sqrt(3), atol=1e-15)
+    assert part.normals is None
+    assert_exact(part.points[[1, 2]], part.points[[3, 5]], "numbers of one point")
+    assert len(np.unique(part.points)) == 4
 
 
 def test_what_is_left_out_is_noted(tmp_path):
@@ -185,11 +177,12 @@ def test_materials_make_parts(tmp_path):
     assert skin.material.texture.wrap == ("clamp", "clamp")
     assert_exact(skin.uv, [[[0.5, 1], [2.5, 1], [2.5, 0.25]]], "quarters: (2 u + 0.5, 1 - 3 v)")
     assert file.notes == ()
-    # A surface of two materials is as smooth as one of one.
-    smooth = smooth_normals(POSITIONS, np.array([[0, 1, 2], [0, 2, 3], [0, 1, 3]]))
+    # A surface of two materials is as smooth as one of one: corners of either are the same points.
+    numbers = {tuple(p): k for part in (red, skin) for p, k in zip(part.positions, part.points, strict=True)}
     for part in (red, skin):
-        where = [np.flatnonzero((p == POSITIONS).all(axis=1))[0] for p in part.positions]
-        np.testing.assert_allclose(part.normals, smooth[where], atol=1e-15)
+        assert part.normals is None
+        assert [numbers[tuple(p)] for p in part.positions] == part.points.tolist()
+    assert len(set(numbers.values())) == 4
 
 
 def test_one_material_keeps_the_order_of_the_file(tmp_path):

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.joining import join_equal
-from slepian_prt.scene.formats.normals import smooth_normals
 from slepian_prt.scene.formats.parts import Material, MeshFile, MeshPart
 from slepian_prt.scene.formats.polygons import triangulate
 
@@ -62,8 +61,8 @@ def assemble(
 ) -> MeshFile:
     """Triangulate polygons and make a part of each material.
 
-    A single part has all vertices in their order. Several have those that they use; where the file gives no normals,
-    they have those of the whole surface, which goes on from one material to the next (and across ``points``).
+    A single part has all vertices in their order. Several have those that they use, and say which of them are one point
+    of the surface, which goes on from one material to the next.
 
     Raises
     ------
@@ -80,8 +79,8 @@ def assemble(
     uv = None if polygons.uv is None else polygons.uv[triangles]
     numbers = np.array([-1]) if polygons.materials is None else polygons.materials[owners]
     used = np.unique(numbers)
-    if len(used) > 1 or vertices.points is not None:
-        vertices = _with_all_normals(vertices, faces)
+    if len(used) > 1 and vertices.points is None:
+        vertices = replace(vertices, points=np.arange(len(vertices.positions)))
     if len(used) <= 1:
         material = materials[used[0]] if len(used) and used[0] >= 0 else None
         return MeshFile((_part(path.stem, vertices, faces, uv, material),), tuple(notes))
@@ -94,6 +93,7 @@ def assemble(
             vertices.positions[kept],
             None if vertices.normals is None else vertices.normals[kept],
             None if vertices.colors is None else vertices.colors[kept],
+            None if vertices.points is None else vertices.points[kept],
         )
         name = material.name if material else path.stem
         parts.append(_part(name, own, renumbered.reshape(-1, 3), None if uv is None else uv[chosen], material))
@@ -129,19 +129,6 @@ def join_split(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
     return Vertices(vertices.positions[first], None, vertices.colors[first], points), joined
 
 
-def _with_all_normals(vertices: Vertices, faces: NDArray[np.int64]) -> Vertices:
-    positions, points = vertices.positions, vertices.points
-    if points is None:
-        computed = smooth_normals(positions, faces)
-    else:
-        first = np.unique(points, return_index=True)[1]
-        computed = smooth_normals(positions[first], points[faces])[points]
-    if vertices.normals is not None:
-        given = np.abs(vertices.normals).sum(axis=1) > 0  # NaN compares as false
-        computed = np.where(given[:, None], vertices.normals, computed)
-    return replace(vertices, normals=computed)
-
-
 def _part(
     name: str,
     vertices: Vertices,
@@ -156,6 +143,7 @@ def _part(
         faces=faces,
         normals=vertices.normals,
         colors=vertices.colors,
+        points=vertices.points,
         uv=uv if textured else None,
         material=material,
     )

@@ -74,6 +74,9 @@ class MeshPart:
         As the file gives them, not normalised; zero or NaN where it gives none. None: it gives none at all.
     colors : (V, 3) float32 or None
         Linear RGB of the vertices, a factor of the material's.
+    points : (V,) int64 or None
+        Vertices of the same number, in whatever part, are one point of the surface, from 0 on, and share a computed
+        normal. None: each vertex is its own.
     uv : (F, 3, 2) float32 or None
         Texture coordinates of the corners of the faces for ``material.texture``. The first texel of the first row of
         the image is at (0, 0), its last at (1, 1): v runs down, as in glTF. Formats whose v runs up give 1 - v.
@@ -88,6 +91,7 @@ class MeshPart:
     faces: NDArray[np.int64]
     normals: NDArray[np.float64] | None = None
     colors: NDArray[np.float32] | None = None
+    points: NDArray[np.int64] | None = None
     uv: NDArray[np.float32] | None = None
     metallic_uv: NDArray[np.float32] | None = None
     material: Material | None = None
