@@ -77,6 +77,7 @@ BAD = {
     "too many lines": (GOOD + "3 0 1 3\n", "has 7 lines"),
     "as many as atoms": ("OFF\n1000000000000000000 2 0\n0 0 0\n", "declares 1000000000000000000 vertices"),
     "two coordinates": (GOOD.replace("1 0 0", "1 0"), "line 4: has 2 numbers, and a vertex has 3"),
+    "a longer line": (GOOD.replace("1 0 0", "1 0 0 9"), "line 4: has 4 numbers, and a vertex has 3"),
     "a word": (GOOD.replace("1 1 .5", "1 one .5"), "line 5: 'one' is not a number"),
     "a vertex that is not there": (GOOD.replace("3 0 2 3", "3 0 2 4"), r"face 1 names vertex 4, the mesh has 4"),
     "a negative vertex": (GOOD.replace("3 0 2 3", "3 0 2 -1"), "face 1 names vertex -1"),

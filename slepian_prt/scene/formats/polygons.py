@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
@@ -138,43 +136,5 @@ def _are_convex(flat: NDArray[np.float64]) -> NDArray[np.bool_]:
 def _clip_ears(flat: NDArray[np.float64], fan: NDArray[np.int64]) -> NDArray[np.int64]:
     """Triangles (T, 3) of one polygon (n, 2), anticlockwise as it is."""
     ends = np.array([len(flat)], dtype=np.uint32)
-    triangles = mapbox_earcut.triangulate_float64(np.ascontiguousarray(flat), ends).reshape(-1, 3).astype(np.int64)
-    if not len(triangles):
-        return fan
-    missing = np.setdiff1d(np.arange(len(flat)), triangles)
-    return _with_corners(flat, triangles, missing) if missing.size else triangles
-
-
-def _areas(flat: NDArray[np.float64], triangles: NDArray[np.int64]) -> NDArray[np.float64]:
-    """(T,) twice the signed areas."""
-    a, b, c = (flat[triangles[:, corner]] for corner in range(3))
-    u, v = b - a, c - a
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-
-
-def _with_corners(flat: NDArray[np.float64], triangles: NDArray[np.int64], missing: NDArray[np.int64]) -> NDArray:
-    """Add corners that lie on a side of a triangle, which ear clipping need not use: no T-junction is left.
-
-    A triangle (a, b, c) that has all of them between a and b becomes a fan around c.
-    """
-    size = len(flat)
-    left = set(missing.tolist())
-    cut = [tuple(triangle) for triangle in triangles.tolist()]
-    while left:
-        first = min(left)
-        chain = [(first - 1) % size, first]
-        while chain[0] in left:
-            chain.insert(0, (chain[0] - 1) % size)
-        while chain[-1] in left or chain[-1] == first:
-            chain.append((chain[-1] + 1) % size)
-        left -= set(chain)
-        for number, triangle in enumerate(cut):
-            turn = next((k for k in range(3) if (triangle[k], triangle[k - 2]) == (chain[0], chain[-1])), None)
-            if turn is None:
-                continue
-            apex = triangle[turn - 1]
-            around = [(a, b, apex) for a, b in pairwise(chain)]
-            if np.all(_areas(flat, np.array(around)) >= -_STRAIGHT):
-                cut[number : number + 1] = around
-            break
-    return np.array(cut, dtype=np.int64)
+    triangles = mapbox_earcut.triangulate_float64(np.ascontiguousarray(flat), ends).reshape(-1, 3)
+    return triangles.astype(np.int64) if len(triangles) else fan
