@@ -24,8 +24,13 @@ _NEGATIVE = 1e-3
 
 
 def log_warning(mi: Any, text: str) -> None:
-    """A line in Mitsuba's log."""
-    mi.Log(mi.LogLevel.Warn, f"slepian_prt: {text}")
+    """A sentence in Mitsuba's log, bare: `mi.Log` puts the file, line and function of ours before it that called it."""
+    level, logger, line = mi.LogLevel.Warn, mi.logger(), f"slepian_prt: {text}"
+    if level >= logger.error_level():  # the user wants warnings to be errors
+        mi.Log(level, line)
+    elif level >= logger.log_level():
+        for number in range(logger.appender_count()):
+            logger.appender(number).append(level, line)
 
 
 def load_once(path: str) -> CompressedTransfer:

@@ -160,6 +160,7 @@ class SlepianIntegrator:
                 raise UserError(f"{transfer.name}: transfer toward a camera has its materials in it; leave out albedo")
         self._direct = _direct_integrator(mi, properties)
         self._spectra = smooth_spectra(mi).tolist() if mi.is_spectral else None
+        self._warnings: set[str] = set()  # that were made
 
     def __str__(self) -> str:
         return f"SlepianPRT[{', '.join(f'{name} = {transfer.name}' for name, transfer in self._transfers.items())}]"
@@ -228,7 +229,7 @@ class SlepianIntegrator:
             return hit, hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.Minimal, active & hit.is_valid())
 
     def _bind(self, scene: Any) -> None:
-        """Match the files to a scene, and log what of it will not be seen on their shapes."""
+        """Match the files to a scene, and log what of it will not be seen on their shapes, each thing once."""
         bound = [transfer for transfer in self._transfers.values() if transfer.bind(scene)]
         if not bound:
             return
@@ -242,7 +243,9 @@ class SlepianIntegrator:
         if scene.environment() is None:
             warnings.append(f"without distant light the shapes of {names} are black")
         for text in warnings:
-            log_warning(self._mi, text)
+            if text not in self._warnings:  # shapes that move are matched again for every picture
+                self._warnings.add(text)
+                log_warning(self._mi, text)
 
 
 def _transfer_paths(mi: Any, properties: Any) -> dict[str, str]:

@@ -13,6 +13,7 @@ import slepian_prt as sp
 from slepian_prt.lighting.environment import about_up
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.windowing import windowed
+from slepian_prt.relighting.mitsuba.bound_transfer import log_warning
 from slepian_prt.relighting.mitsuba.spectra import smooth_basis, smooth_spectra
 from slepian_prt.relighting.relight import relight
 from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
@@ -630,6 +631,40 @@ def test_what_materials_say_and_is_not_drawn_is_told(mi, folder, tmp_path, log):
     rough = shape(mi, folder) | {"bsdf": {"type": "roughplastic"}}
     picture(mi, loaded(mi, folder, bumpy=rough), integrator=mi.load_dict({**bare, "albedo": "scene"}))
     assert [text for text in log if "not drawn: glossy reflection of shape 'bumpy'" in text]
+
+
+def test_remarks_are_bare_sentences_and_made_once(mi, folder, log):
+    """Without the file, line and function of ours; not again for every picture of a model that moves."""
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "slepian_prt", "transfer": str(folder / "bumpy.prt")},
+            "sensor": camera(mi),
+            "bumpy": shape(mi, folder),
+        }
+    )
+    parameters = mi.traverse(scene)
+    for _ in range(3):
+        mi.render(scene, spp=1)
+        parameters["bumpy.vertex_positions"] *= 1.5
+        parameters.update()
+    assert log == ["slepian_prt: without distant light the shapes of bumpy.prt are black"]
+
+
+def test_remarks_follow_the_level_of_the_log(mi, log):
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    log_warning(mi, "not wanted")
+    mi.set_log_level(level)
+    log_warning(mi, "wanted")
+    assert log == ["slepian_prt: wanted"]
+    errors = mi.logger().error_level()
+    mi.logger().set_error_level(mi.LogLevel.Warn)
+    try:
+        with pytest.raises(RuntimeError, match="an error here"):
+            log_warning(mi, "an error here")
+    finally:
+        mi.logger().set_error_level(errors)
 
 
 def test_errors_are_in_the_log(mi, folder, tmp_path, log):
