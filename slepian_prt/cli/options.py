@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -138,7 +137,7 @@ def check_width(_context: click.Context, _option: click.Parameter, width: int | 
 
 
 def check_noise(_context: click.Context, _option: click.Parameter, noise: float) -> float:
-    """Raise UserError unless references can be that exact."""
-    if not (math.isfinite(noise) and noise > 0.0):
-        raise UserError(f"noise must be a positive number, not {noise!r}")
+    """Raise UserError unless it is the relative noise of a reference."""
+    if not 0.0 < noise < 1.0:
+        raise UserError(f"noise must be a number in (0, 1), not {noise!r}")
     return noise

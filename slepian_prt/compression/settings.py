@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +31,7 @@ class CompressionSettings:
     ----------
     basis : one of adapted, transport, slepian, incident, sh, direct, pca, cpca, none
         ``none`` keeps all (L+1)² spherical harmonics; ``pca`` and ``cpca`` look at all vectors.
-    tolerance : float > 0, optional
+    tolerance : float in (0, 1), optional
         Wanted relative error, of the transfer vectors or, with a light prior, of radiance under such light. The default
         rule, at 0.02. Of coefficients that are ``coded`` the rounding step meets it (functions that round to zero cost
         next to nothing); otherwise the number of functions does, by prediction.
@@ -109,8 +108,8 @@ class CompressionSettings:
             if self.needs_all_vectors:
                 raise UserError(f"`truncate` counts functions of a cap, which {self.basis} does not have; use `terms`")
         number = isinstance(self.tolerance, int | float | np.number) and not isinstance(self.tolerance, bool)
-        if self.tolerance is not None and not (number and math.isfinite(self.tolerance) and self.tolerance > 0.0):
-            raise UserError(f"tolerance must be a positive number, not {self.tolerance!r}")
+        if self.tolerance is not None and not (number and 0.0 < self.tolerance < 1.0):
+            raise UserError(f"tolerance must be a number in (0, 1), not {self.tolerance!r}")
         if self.epsilon is not None:
             check_epsilon(self.epsilon)
             if self.truncate is None:

@@ -139,6 +139,21 @@ BAD = {
         ["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--terms", "500"],
         "terms must be an integer in [1, 121]",
     ),
+    **{
+        f"tolerance {tolerance}": (
+            ["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--tolerance", tolerance],
+            "--tolerance must be a number in (0, 1), not",
+        )
+        for tolerance in ("0", "1", "2", "nan")
+    },
+    "tolerance of a sweep": (
+        ["sweep", "{}/ball.ply", "--environment", "{}/map.exr", "-o", "{}/x", "--tolerance", "0.1,2"],
+        "--tolerance must be a number in (0, 1), not 2.0",
+    ),
+    "epsilon": (
+        ["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--truncate", "n_g", "--epsilon", "nan"],
+        "--epsilon must be a number in (0, 1), not nan",
+    ),
     "samples": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--samples", "0"], "samples must be"),
     "two rules": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--terms", "4", "--tolerance", "0.1"], "only one of"),
     "unknown basis": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--basis", "fourier"], "'fourier'"),
@@ -183,7 +198,7 @@ BAD = {
     "over the map": (["relight", "{}/ball.prt", "--environment", "{}/map.exr", "-o", "{}/map.exr"], "is the input"),
     "noise": (
         ["compare", "{}/ball.ply", "--environment", "{}/map.exr", "--noise", "0", "-o", "{}/x"],
-        "noise must be a positive number",
+        "--noise must be a number in (0, 1)",
     ),
     "no report name": (["compare", "{}/ball.ply", "--environment", "{}/map.exr", "-o", ""], "folder is empty"),
     "folder as map": (["relight", "{}/ball.prt", "--environment", "{}", "-o", "{}/x.png"], "is a folder"),

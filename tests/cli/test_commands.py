@@ -127,7 +127,12 @@ def test_sensible_widths(width):
     assert check_width(None, None, width) == width
 
 
-@pytest.mark.parametrize(("check", "value"), [(check_width, 15), (check_noise, float("nan")), (check_noise, -1.0)])
-def test_values_that_make_no_sense(check, value):
+def test_widths_that_make_no_sense():
     with pytest.raises(UserError, match="must be"):
-        check(None, None, value)
+        check_width(None, None, 15)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 2.0, -1.0, float("nan"), float("inf")])
+def test_noise_that_makes_no_sense(noise):
+    with pytest.raises(UserError, match=r"^noise must be a number in \(0, 1\), not"):
+        check_noise(None, None, noise)

@@ -1,3 +1,5 @@
+import dataclasses
+import inspect
 import math
 from itertools import pairwise
 
@@ -24,6 +26,9 @@ from tests.numerics import assert_rounded
 
 # `slepian` lacks the odd degrees; of K terms `pca` spends one on the mean.
 COMPLETE = [name for name in ANALYTIC if name != "slepian"]
+
+
+NO_TOLERANCES = (0.0, 1.0, 1, 2, -0.1, math.nan, math.inf, True, "0.1")
 
 
 def error(packed, transfer) -> float:
@@ -222,11 +227,10 @@ def test_shared_half_angles_are_a_little_wider(half_angle):
     [
         ({"terms": 0}, r"terms must be an integer in \[1, 49\], not 0"),
         ({"terms": 50}, r"terms must be an integer in \[1, 49\], not 50"),
-        ({"tolerance": 0.0}, "tolerance must be a positive number"),
-        ({"tolerance": float("nan")}, "tolerance must be a positive number"),
+        *(({"tolerance": t}, r"^tolerance must be a number in \(0, 1\), not") for t in NO_TOLERANCES),
         ({"tolerance": 0.1, "terms": 4}, "only one of `tolerance`, `terms` and `truncate`"),
         ({"truncate": "n"}, "truncate must be one of n_g, n_ref, count"),
-        ({"truncate": "n_g", "epsilon": 0.0}, "epsilon must be"),
+        *(({"truncate": "n_g", "epsilon": e}, r"^epsilon must be a number in \(0, 1\)") for e in (0, 1, 2, math.nan)),
         ({"basis": "fourier"}, "basis must be one of"),
         ({"basis": "none", "terms": 4}, "basis none keeps all functions"),
         ({"clusters": 0}, "clusters must be an integer"),
@@ -236,6 +240,14 @@ def test_shared_half_angles_are_a_little_wider(half_angle):
 def test_bad_options(options, message, shadowed):
     with pytest.raises(ValueError, match=message):
         compress(shadowed, **options)
+
+
+def test_what_compress_takes_is_what_settings_have():
+    """The same names with the same defaults."""
+    given = inspect.signature(compress).parameters
+    own = {field.name: field.default for field in dataclasses.fields(CompressionSettings)}
+    assert {name: p.default for name, p in given.items() if name not in ("transfer", "report")} == own
+    assert not [p for p in given.values() if p.kind is p.VAR_KEYWORD]
 
 
 @pytest.mark.slow
