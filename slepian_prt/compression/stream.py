@@ -6,13 +6,11 @@ forgotten, and the vectors of all are never held; what is kept are the coefficie
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +22,14 @@ from slepian_prt.compression.checkpoint import Block, MemoryStore, Store, journa
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart, encode
+from slepian_prt.compression.fingerprint import fingerprint
 from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer
 from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_bases, pilot_of
 from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
 from slepian_prt.compression.projection import Projection, choose_projection, widen
-from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettings
 from slepian_prt.lighting.projection import project_environment
+from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.estimator import Estimator, TransferBlock
@@ -55,22 +55,57 @@ def compress(
     transfer: Transfer,
     basis: str = "adapted",
     *,
-    clusters: int | Clusters | Grouping | None = None,
+    tolerance: float | None = None,
+    terms: int | None = None,
+    truncate: str | None = None,
+    epsilon: float | None = None,
+    clusters: int | Clusters | Grouping = DEFAULT_CLUSTERS,
+    group_by: str = "normal",
+    occlusion_classes: int = 1,
+    light_prior: LightPrior | None = None,
+    refine: bool | None = None,
+    coding: str | None = None,
     report: Report = _silent,
-    **options: Any,
 ) -> CompressedTransfer:
     """Cluster, project, truncate and code transfer vectors.
+
+    At most one of ``tolerance``, ``terms`` and ``truncate`` may be given; without any, the tolerance is 0.02.
 
     Parameters
     ----------
     transfer : Transfer
     basis : str
-    clusters : int, or Clusters of the transfer's own axes, or a Grouping, made before
+        Functions to compress with: ``adapted`` to the mean transport over each cap; ``transport`` that nothing shadows;
+        the paper's ``slepian`` functions of the cap of normals, ``incident`` on the cap of incident light; ``sh`` of
+        low degree; ``pca`` and ``cpca`` from all vectors; ``direct``; or ``none``, all (L+1)² spherical harmonics.
+    tolerance : float in (0, 1), optional
+        Wanted relative RMS error of the transfer vectors or, with a light prior, of radiance under such light.
+    terms : int in [1, (L+1)²], optional
+        Instead: this many functions in each cap.
+    truncate : ``n_g``, ``n_ref`` or ``count``, optional
+        Instead: as many functions as the Shannon number of each cap, generalised, refined or counted.
+    epsilon : float in (0, 1), optional
+        Concentration down to which ``truncate`` counts; 0.01 by default.
+    clusters : int in [1, 4096], or Clusters of the transfer's own axes, or a Grouping
+        How many caps, or those that were made before.
+    group_by : ``normal``, ``bent`` or ``surface``
+        What is grouped into caps: normals, mean directions of the light that is not blocked, or patches of the surface.
+    occlusion_classes : int in [1, 16]
+        Classes of equally many vertices, from occluded to open, that are grouped and learnt from separately.
+    light_prior : LightPrior, optional
+        Errors count under light of this spectrum; from `falling_prior` or `measured_prior`.
+    refine : bool, optional
+        Whether the coefficients of each cap are turned to their principal axes. By default where that makes the file
+        smaller.
+    coding : ``coded``, ``float16`` or ``float32``, optional
+        Coefficients predicted, rounded and entropy-coded, or plain. By default ``coded`` with a tolerance, and
+        ``float32`` with a given number of functions.
     report : callable
         Told what is being done.
-    **options
-        The other attributes of `CompressionSettings`: tolerance, terms, truncate, epsilon, group_by, occlusion_classes,
-        light_prior, refine, coding.
+
+    Returns
+    -------
+    CompressedTransfer
 
     Raises
     ------
@@ -80,9 +115,19 @@ def compress(
     if isinstance(clusters, Clusters):
         clusters = Grouping(clusters, transfer.axes)
     grouping = clusters if isinstance(clusters, Grouping) else None
-    if clusters is not None and grouping is None:
-        options["clusters"] = clusters
-    settings = CompressionSettings(basis=basis, **options)
+    settings = CompressionSettings(
+        basis=basis,
+        tolerance=tolerance,
+        terms=terms,
+        truncate=truncate,
+        epsilon=epsilon,
+        clusters=DEFAULT_CLUSTERS if isinstance(clusters, Grouping) else clusters,
+        group_by=group_by,
+        occlusion_classes=occlusion_classes,
+        light_prior=light_prior,
+        refine=refine,
+        coding=coding,
+    )
     settings.check(transfer.bandlimit)
     started = time.perf_counter()
     grouping = grouping or group_transfer(settings, transfer)
@@ -230,7 +275,7 @@ def trace_and_project(
     rays = source.rays
     projection = choose_projection(learned)
     while True:
-        with journal(_fingerprint(planned, projection)) as store:
+        with journal(fingerprint(planned, projection)) as store:
             _trace(planned, source, projection, store, advance)
             blocks = projection.caps(store, _project_interior(planned, source, projection, store))
             wider = widen(projection, blocks)
@@ -307,22 +352,3 @@ def _project_interior(
         block = TransferBlock(vertices, vectors[:, None, :], np.ones(vertices.size, dtype=np.float32), 0)
         overrides[number] = projection.block(block)
     return overrides
-
-
-def _fingerprint(planned: PlannedScene, projection: Projection) -> str:
-    """Of everything that blocks of coefficients depend on."""
-    digest = hashlib.sha256()
-    scene, settings, plan, learned = planned.scene, planned.settings, planned.plan, projection.learned
-    numbers = (version("slepian_prt"), scene.mi.variant(), settings.bandlimit, settings.seed, plan.nodes)
-    digest.update(repr(numbers).encode())
-    mesh = scene.mesh
-    arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
-    for shape in scene.shapes:
-        box = shape.bbox()
-        arrays += [np.array(box.min), np.array(box.max), np.array([shape.surface_area()], dtype=np.float64)]
-    arrays += [learned.clusters.index, *(basis.analysis for basis in projection.bases)]
-    if learned.pilot is not None and learned.pilot.mean is not None:
-        arrays.append(learned.pilot.mean.zonal)
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:32]

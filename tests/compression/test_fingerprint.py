@@ -1,0 +1,69 @@
+"""Finished work is found again by all that it depends on, whatever the shapes of a scene."""
+
+import numpy as np
+import pytest
+
+from slepian_prt.compression.fingerprint import shape_arrays
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.renderer.variants import mitsuba
+from slepian_prt.transport.settings import TransportSettings
+
+# A hair over a floor, with its middle here or there inside the same box.
+HAIR = "-1 1 0 0.05\n0 1 {} 0.05\n0 1 -0.5 0.05\n0 1 0.5 0.05\n1 1 0 0.05\n"
+
+
+@pytest.fixture
+def hair(tmp_path):
+    def write(middle: float = 0.2) -> str:
+        (tmp_path / "hair.txt").write_text(HAIR.format(middle))
+        return str(tmp_path / "hair.txt")
+
+    return write
+
+
+def digest(mi, **shape) -> bytes:
+    arrays = shape_arrays(mi, mi.load_dict(shape))
+    assert not [array for array in arrays if array.dtype.hasobject]  # they would be addresses
+    return b"".join(array.tobytes() for array in arrays)
+
+
+@pytest.mark.parametrize("kind", ["bsplinecurve", "linearcurve"])
+def test_curves_are_told_apart(kind, hair):
+    with mitsuba() as mi:
+        first, again, other = (digest(mi, type=kind, filename=hair(middle)) for middle in (0.2, 0.2, 0.3))
+    assert first == again
+    assert first != other
+
+
+@pytest.mark.parametrize("kind", ["sphere", "cylinder", "disk", "rectangle", "cube"])
+def test_shapes_with_a_transform_are_told_apart(kind):
+    """Turned by a right angle, in the same box."""
+    with mitsuba() as mi:
+        turn = mi.ScalarTransform4f().rotate([0, 0, 1], 90.0)
+        first, again, other = (digest(mi, type=kind, **more) for more in ({}, {}, {"to_world": turn}))
+    assert first == again
+    assert first != other
+
+
+def test_ellipsoids_are_told_apart():
+    def ellipsoid(mi, x: float) -> bytes:
+        numbers = {"centers": [0, 0, 0], "scales": [1, 1, 1], "quaternions": [x, 0, 0, 1]}
+        arrays = {name: mi.TensorXf(np.array([values], dtype=np.float32)) for name, values in numbers.items()}
+        return digest(mi, type="ellipsoids", **arrays)
+
+    with mitsuba() as mi:
+        assert ellipsoid(mi, 0.0) == ellipsoid(mi, 0.0)
+        assert ellipsoid(mi, 0.0) != ellipsoid(mi, 1.0)
+
+
+def test_a_curve_shades_what_is_lit(tmp_path, hair):
+    (tmp_path / "scene.xml").write_text(
+        f"""<scene version="3.0.0"><shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/>
+        <scale value="2"/></transform><bsdf type="diffuse"/></shape><shape type="bsplinecurve">
+        <string name="filename" value="{hair()}"/><bsdf type="conductor"/></shape></scene>"""
+    )
+    settings = CompressionSettings(tolerance=0.05, clusters=1)
+    packed = precompute_compressed(tmp_path / "scene.xml", settings, TransportSettings(3, 64))
+    assert packed.effects[0].name == "shadows"
+    assert packed.effects[0].contribution > 0.0
