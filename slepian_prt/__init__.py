@@ -8,7 +8,8 @@
 
 Transfer and relighting
     precompute                      Trace what light reaches each vertex of a mesh or scene: its transfer vectors.
-    Transfer                        Transfer vectors and the mesh that they belong to.
+    Transfer                        Transfer vectors and the mesh that they belong to; save.
+    load_transfer                   Read transfer that was saved uncompressed.
     compress                        Project transfer vectors on few functions per cap and code the coefficients.
     CompressedTransfer              What a .prt file holds; save, reconstruct, predicted errors.
     load                            Read a .prt file.

@@ -39,5 +39,6 @@ from .sphere.regions import polygon_region as polygon_region
 from .sphere.rotation import rotate_sh as rotate_sh
 from .transport.transfer import Transfer as Transfer
 from .transport.transfer import precompute as precompute
+from .transport.transfer_file import load_transfer as load_transfer
 
 __version__: str

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,42 +22,66 @@ from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.recentering import coarse_receivers, far_center, load_about
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.shapes import ReceivingShape, fewest_cuts, mitsuba_mesh, receiving_shape
+from slepian_prt.scene.trimesh_objects import is_of_trimesh, mesh_from_trimesh
 from slepian_prt.scene.view import View, view_of
+
+if TYPE_CHECKING:
+    import trimesh
 
 log = logging.getLogger(__name__)
 
 
 @contextmanager
 def open_scene(
-    path: str | Path | Mesh, *, albedo: ArrayLike | None = None, view: str | int | None = None
+    path: str | Path | Mesh | trimesh.Trimesh | trimesh.Scene,
+    *,
+    albedo: ArrayLike | None = None,
+    view: str | int | None = None,
+    crease_angle: float | None = None,
 ) -> Iterator[Scene]:
-    """Load a mesh file, a Mitsuba .xml or a `Mesh`, and yield the scene, with Mitsuba in a working variant.
+    """Load a mesh file, a Mitsuba .xml or a mesh in memory, and yield the scene, with Mitsuba in a working variant.
 
     Parameters
     ----------
-    path : path or Mesh
+    path : path, Mesh, trimesh.Trimesh or trimesh.Scene
+        Of trimesh's objects as `mesh_from_trimesh` has it.
     albedo : one or three numbers in [0, 1], optional
-        Of a mesh file, which says nothing about it: without one it is 1, and nothing is known of interreflection.
+        Of a mesh, instead of what its file says. Where neither says anything, it is 1, and nothing is known of
+        interreflection.
     view : id or number of a camera of an .xml scene, optional
         Glossy receivers are included, as that camera sees them.
+    crease_angle : float in [0, 180], optional
+        Degrees from which on edges of a mesh file are hard, as of `read_mesh`.
 
     Raises
     ------
     UserError
-        As `read_mesh`; an XML file that Mitsuba refuses (its message is passed on); a scene with nothing to light; an
-        albedo for a scene that has its own; a camera that is not there.
+        As `read_mesh` and `mesh_from_trimesh`; an XML file that Mitsuba refuses (its message is passed on); a scene
+        with nothing to light; an albedo or a crease angle for a scene that has its own; a camera that is not there.
     """
+    if is_of_trimesh(path):
+        path = mesh_from_trimesh(path)
+    if not isinstance(path, str | Path | Mesh):
+        kind = type(path).__name__
+        raise UserError(f"the scene must be the path of a file, a Mesh, or a mesh or scene of trimesh, not a {kind}")
     if not isinstance(path, Mesh) and Path(path).suffix.lower() == ".xml":
         if not Path(path).is_file():
             raise UserError(f"{path}: no such file; check the path")
         if albedo is not None:
             raise UserError(f"{path}: its materials say what it reflects; leave out the albedo, or change it there")
+        if crease_angle is not None:
+            raise UserError(f"{path}: its shapes say themselves which edges are hard; leave out `crease_angle`")
         with mitsuba() as mi:
             yield _told_of_steps(_from_xml(mi, Path(path), view))
         return
     if view is not None:
         raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
-    mesh, source = (path, path.name) if isinstance(path, Mesh) else (read_mesh(path), str(path))
+    if isinstance(path, Mesh):
+        if crease_angle is not None:
+            raise UserError(f"{path.name}: a mesh in memory has its normals; leave out `crease_angle`, or name a file")
+        mesh, source = path, path.name
+    else:
+        mesh, source = read_mesh(path, crease_angle=180.0 if crease_angle is None else crease_angle), str(path)
     if albedo is not None:
         constant = _constant_albedo(albedo, len(mesh.positions))
         mesh = replace(mesh, albedo=constant, known_albedo=True, not_simulated=())

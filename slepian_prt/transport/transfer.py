@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,9 @@ from slepian_prt.transport.interior import find_interior
 from slepian_prt.transport.interreflection import GATHER_SHARE, add_bounces, count_bounces, gather_operator
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,6 +90,22 @@ class Transfer(Summarised):
         vectors = np.ascontiguousarray(self.vectors[:, :, : num_coefficients(bandlimit)])
         return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None)
 
+    def save(self, path: str | Path) -> None:
+        """Write all of it, uncompressed, as a NumPy ``.npz`` file, which `load_transfer` reads back.
+
+        Files of `compress` are smaller, and they are what the command line reads. The arrays here are ``vectors``,
+        ``positions``, ``normals``, ``faces`` and ``albedo``, as the attributes are, and ``axes`` where they are not the
+        normals.
+
+        Raises
+        ------
+        UserError
+            Another suffix, a folder that is missing or not writable, or a full disk.
+        """
+        from slepian_prt.transport.transfer_file import save_transfer
+
+        save_transfer(self, path)
+
     def _summary(self) -> dict[str, object]:
         return {
             "source": self.source or self.mesh.name,
@@ -103,7 +123,7 @@ class Transfer(Summarised):
 
 
 def precompute(
-    scene: str | Path | Mesh,
+    scene: str | Path | Mesh | trimesh.Trimesh | trimesh.Scene,
     bandlimit: int = 10,
     samples: int = 1024,
     *,
@@ -119,7 +139,9 @@ def precompute(
 
     Parameters
     ----------
-    scene : path of a mesh (ply, obj, stl, off, glb) or Mitsuba scene (xml), or a `Mesh`
+    scene : path, Mesh, trimesh.Trimesh or trimesh.Scene
+        Path of a mesh (ply, obj, stl, off, glb, gltf) or Mitsuba scene (xml). A ``trimesh.Scene`` becomes one mesh. Of
+        trimesh's objects geometry and normals are taken, the normals if they hold them, not colours.
     bandlimit : int in [0, 50]
     samples : int
         Rays per vertex over the hemisphere, on average; vertices that nothing can shadow get none.
@@ -129,7 +151,8 @@ def precompute(
     bounces : int, optional
         Of light between surfaces, where that is simulated. By default until the rest is less than a thousandth.
     albedo : one or three numbers in [0, 1], optional
-        Of a mesh file, which says nothing about it.
+        Diffuse reflectance of a mesh, instead of what its materials, textures and vertex colours say. Where they say
+        nothing it is 1, and light between surfaces is left out.
     view : id or number of a camera of an .xml scene, optional
         Transfer toward that camera, of all materials but mirrors and glass; direct light only.
     seed : int

@@ -1,0 +1,169 @@
+"""Transfer as it was traced, in a NumPy ``.npz`` file: to keep, or to read with other tools.
+
+``numpy.load`` shows its arrays by name: ``vectors``, ``positions``, ``normals``, ``faces``, ``albedo``; ``axes`` where
+they are not the normals; those of the scene's own light if it has one; and ``about``, which is all else as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.files import atomic_output, check_writable
+from slepian_prt.lighting.emitters import SkyEnvironment
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.sky import Disk, SkyQuadrature, Sun
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.scene import Part
+from slepian_prt.scene.view import View
+from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.transfer import Transfer
+
+FORMAT = "slepian_prt uncompressed transfer"
+VERSION = 1
+
+_PLAIN = ("bandlimit", "samples", "seed", "bounces", "rays_traced", "seconds", "source", "toward_view")
+_DISK = ("directions", "evaluated", "solid_angles")
+
+
+def save_transfer(transfer: Transfer, path: str | Path) -> None:
+    """Write an ``.npz`` file: complete or not at all.
+
+    Raises
+    ------
+    UserError
+        Another suffix, a folder that is missing or not writable, or a full disk.
+    """
+    check_writable(path)
+    if Path(path).suffix.lower() != ".npz":
+        raise UserError(
+            f"{path}: transfer that is not compressed is kept as .npz; name the file so, or compress it first for .prt"
+        )
+    mesh, light = transfer.mesh, transfer.environment
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        **{name: getattr(transfer, name) for name in _PLAIN},
+        "name": mesh.name,
+        "notes": mesh.notes,
+        "known_albedo": mesh.known_albedo,
+        "not_simulated": mesh.not_simulated,
+        "parts": [[part.name, part.first, part.count] for part in transfer.parts],
+        "effects": [effect.as_dict() for effect in transfer.effects],
+        "view": None if transfer.view is None else transfer.view.as_dict(),
+        "environment": None if light is None else {"name": light.name, "clamped": light.clamped},
+    }
+    arrays: dict[str, NDArray] = {
+        "vectors": transfer.vectors,
+        "positions": mesh.positions,
+        "normals": mesh.normals,
+        "faces": mesh.faces,
+        "albedo": mesh.albedo,
+    }
+    if transfer.axes is not mesh.normals:  # normals are coded in fewer bytes by `compress`, if it is they
+        arrays["axes"] = transfer.axes
+    if light is not None:
+        arrays |= _light_arrays(light)
+    arrays["about"] = np.array(json.dumps(about))
+    with atomic_output(path) as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]  # of its keyword allow_pickle
+
+
+def load_transfer(path: str | Path) -> Transfer:
+    """Read what `Transfer.save` wrote.
+
+    Raises
+    ------
+    UserError
+        Missing, foreign, cut short, damaged, or from another version.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name a file")
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; check the path")
+    try:
+        with path.open("rb") as file:
+            arrays = np.load(file, allow_pickle=False)  # an array if it is an .npy file
+            about = json.loads(str(arrays["about"])) if "about" in getattr(arrays, "files", ()) else {}
+            if about.get("format") != FORMAT:
+                raise UserError(f"{path}: is no file of Transfer.save; sp.load reads .prt files, sp.precompute traces")
+            if about["version"] != VERSION:
+                raise UserError(f"{path}: has format version {about['version']}, this program reads {VERSION}")
+            return _transfer(about, {name: arrays[name] for name in arrays.files})
+    except UserError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, AttributeError, EOFError) as error:
+        reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
+        raise UserError(f"{path}: is no file of Transfer.save, or is cut short or damaged ({reason})") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
+    vectors, count = arrays["vectors"], len(arrays["positions"])
+    size = num_coefficients(about["bandlimit"])
+    if vectors.shape not in ((count, 1, size), (count, 3, size)):
+        raise ValueError(f"vectors of shape {vectors.shape} for {count} vertices and bandlimit {about['bandlimit']}")
+    for name in {"axes", "normals", "albedo"} & set(arrays):
+        if arrays[name].shape != (count, 3):
+            raise ValueError(f"{name} of shape {arrays[name].shape} for {count} vertices")
+    faces = arrays["faces"]
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= count:
+        raise ValueError("faces of vertices that do not exist")
+    mesh = Mesh(
+        about["name"],
+        arrays["positions"],
+        arrays["normals"],
+        faces,
+        arrays["albedo"],
+        tuple(about["notes"]),
+        about["known_albedo"],
+        tuple(about["not_simulated"]),
+    )
+    light = about["environment"]
+    return Transfer(
+        vectors=vectors,
+        axes=arrays.get("axes", mesh.normals),
+        mesh=mesh,
+        parts=tuple(Part(*part) for part in about["parts"]),
+        effects=tuple(Effect(**effect) for effect in about["effects"]),
+        environment=None if light is None else _light(light["name"], light["clamped"], arrays),
+        view=None if about["view"] is None else View(**about["view"]),
+        **{name: about[name] for name in _PLAIN},
+    )
+
+
+# --- The scene's own light -------------------------------------------------------------------------------------------
+
+
+def _light_arrays(light: Environment) -> dict[str, NDArray]:
+    arrays: dict[str, NDArray] = {"environment_texels": light.texels, "environment_to_world": light.to_world}
+    if isinstance(light, SkyEnvironment):
+        quadrature, sun = light.quadrature, light.quadrature.sun
+        arrays["sky_samples"], arrays["sky_frame"] = light.samples, quadrature.frame
+        arrays |= {f"sky_disk_{part}": getattr(quadrature.disk, part) for part in _DISK}
+        if sun is not None:
+            arrays["sky_sun"] = np.append(sun.direction, sun.depth)
+    return arrays
+
+
+def _light(name: str, clamped: int, arrays: dict[str, NDArray]) -> Environment:
+    """As it was, but that a sky is no longer tied to its emitter in a Mitsuba scene."""
+    texels, to_world = arrays["environment_texels"], arrays["environment_to_world"]
+    if "sky_samples" not in arrays:
+        return Environment(name, texels, to_world, clamped)
+    sun = Sun(arrays["sky_sun"][:3], float(arrays["sky_sun"][3])) if "sky_sun" in arrays else None
+    disk = Disk(*(arrays[f"sky_disk_{part}"] for part in _DISK))
+    quadrature, samples = SkyQuadrature(arrays["sky_frame"], sun, disk), arrays["sky_samples"]
+    if len(samples) != len(quadrature.directions):
+        raise ValueError("the sky is of another version")
+    return SkyEnvironment(name, texels, to_world, clamped, quadrature=quadrature, samples=samples, emitter=None)
