@@ -108,13 +108,14 @@ def precompute_within(
         known = measure_references(planned, goal, light, np.concatenate([chosen_by, others]), tuning)
         metric, held_out = known.subset(slice(chosen_by.size)), known.subset(slice(chosen_by.size, None))
         pilot = Pilot(planned, light, settings, metric, held_out.vertices, report, tuning)
-        result = _precompute_and_verify(pilot, held_out, goal, started, hooks, tuning)
+        unseen = drawn[1].size - others.size
+        result = _precompute_and_verify(pilot, held_out, unseen, goal, started, hooks, tuning)
         aim = goal
         for _ in range(tuning.repeats):
             missed = 1.0 if goal.error is None else result.verification.worst / goal.error
             if goal.seconds is not None or aim.error is None or missed <= 1.0:
                 break
-            others = draw_others(planned, light, known.vertices, tuning)
+            others, unseen = draw_others(planned, light, known.vertices, tuning)
             if others.size == 0:
                 break
             report(f"{result.verification.worst:.2%} on vertices held out; once more, aimed lower")
@@ -124,7 +125,7 @@ def precompute_within(
             aim = replace(aim, error=aim.error * tuning.aimed_lower / missed)
             pilot = pilot.with_metric(known, held_out.vertices)
             hooks = replace(hooks, on_plan=lambda _: None)
-            result = _precompute_and_verify(pilot, held_out, aim, started, hooks, tuning)
+            result = _precompute_and_verify(pilot, held_out, unseen, aim, started, hooks, tuning)
     return result
 
 
@@ -164,16 +165,16 @@ def _resolve(light: Light, planned: PlannedScene) -> Light:
 
 
 def _precompute_and_verify(
-    pilot: Pilot, held_out: ErrorMetric, aim: Goal, started: float, hooks: _Hooks, tuning: SearchTuning
+    pilot: Pilot, held_out: ErrorMetric, unseen: int, aim: Goal, started: float, hooks: _Hooks, tuning: SearchTuning
 ) -> BudgetedResult:
-    """Search, run, and look at vertices that nothing was chosen by."""
+    """Search, run, and look at vertices that nothing was chosen by, all but the ``unseen`` of them."""
     table, choice = _search(pilot, aim, started)
     rest = time.perf_counter() - started
     hooks.on_choice(table.choices, choice, rest)
     reviews = 0 if aim.error is None else tuning.reviews
     packed = _precompute(pilot, choice, reviews, hooks, tuning)
     hooks.report("verification")
-    checked = verify(held_out, packed, choice, started, rest + choice.seconds)
+    checked = verify(held_out, unseen, packed, choice, started=started, predicted_seconds=rest + choice.seconds)
     packed = replace(packed, verified=dict(zip(checked.names, checked.error.tolist(), strict=True)))
     return BudgetedResult(packed, table.choices, choice, checked)
 

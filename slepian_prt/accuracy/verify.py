@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.accuracy.trials import Choice
+from slepian_prt.accuracy.vertices import count_black
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import reconstruct
 from slepian_prt.evaluation.vertex_error import ErrorMetric
@@ -23,15 +24,20 @@ class Verification:
     names : tuple of str
         Of the lights.
     vertices : int
-        That were held out.
+        That were held out: drawn at random from all over the mesh.
+    left_out : (lights,) int
+        Of these, how many do not count in the error, because they lie inside other geometry, where transfer is that of
+        neighbours outside: under maps those that the reference has black, under light of a spectrum those that see
+        nothing of the sky.
     error, predicted, noise : (lights,)
-        Relative RMS; of the reference its own noise.
+        Relative RMS over the others; of the reference its own noise.
     seconds, predicted_seconds : float
         From the first to the last but writing the file.
     """
 
     names: tuple[str, ...]
     vertices: int
+    left_out: NDArray[np.int64]
     error: NDArray[np.float64]
     predicted: NDArray[np.float64]
     noise: NDArray[np.float64]
@@ -43,15 +49,45 @@ class Verification:
         """The largest error under any light."""
         return float(self.error.max())
 
+    @property
+    def left_out_share(self) -> NDArray[np.float64]:
+        """(lights,) part of the vertices held out that do not count, which is about that part of the mesh."""
+        return self.left_out / max(1, self.vertices)
+
 
 def verify(
-    metric: ErrorMetric, packed: CompressedTransfer, choice: Choice, started: float, predicted_seconds: float
+    metric: ErrorMetric,
+    unseen: int,
+    packed: CompressedTransfer,
+    choice: Choice,
+    *,
+    started: float,
+    predicted_seconds: float,
 ) -> Verification:
-    """Measure at the vertices of a metric what a choice led to; all ``started`` then, by `time.perf_counter`."""
+    """Measure at the vertices of a metric what a choice led to.
+
+    Parameters
+    ----------
+    metric : ErrorMetric
+        Of the vertices held out.
+    unseen : int
+        Vertices that were held out too, but see nothing of the sky and are not in the metric.
+    packed : CompressedTransfer
+    choice : Choice
+    started : float
+        When all began, by `time.perf_counter`.
+    predicted_seconds : float
+    """
     error = np.sqrt(squared_error(metric, packed))
-    seconds = time.perf_counter() - started
     return Verification(
-        metric.names, metric.vertices.size, error, choice.error, metric.noise, seconds, predicted_seconds
+        names=metric.names,
+        vertices=metric.vertices.size + unseen,
+        left_out=count_black(metric) + unseen,
+        error=error,
+        predicted=choice.error,
+        noise=metric.noise,
+        seconds=time.perf_counter() - started,
+        predicted_seconds=predicted_seconds,
     )
 
 

@@ -45,25 +45,40 @@ def draw_vertices(
 
 def draw_others(
     planned: PlannedScene, light: Light, known: NDArray, tuning: SearchTuning = TUNING
-) -> NDArray[np.int64]:
-    """About as many vertices as a pilot has that are not ``known``; none if there are too few."""
+) -> tuple[NDArray[np.int64], int]:
+    """About as many vertices as a pilot has that are not ``known``, and how many `leave_out_interior` left out of them.
+
+    None if there are too few.
+    """
     first, second = draw_vertices(planned, planned.settings.seed + 1, tuning.pilot_vertices, known)
-    others = leave_out_interior(planned, light, np.union1d(first, second), tuning)
-    others = others[:: max(1, (2 * first.size) // tuning.pilot_vertices)]
-    return others if others.size >= tuning.fewest_held_out else others[:0]
+    drawn = np.union1d(first, second)
+    drawn = drawn[:: max(1, (2 * first.size) // tuning.pilot_vertices)]
+    others = leave_out_interior(planned, light, drawn, tuning)
+    return others if others.size >= tuning.fewest_held_out else others[:0], drawn.size - others.size
 
 
 def leave_out_interior(
     planned: PlannedScene, light: Light, vertices: NDArray, tuning: SearchTuning = TUNING
 ) -> NDArray[np.int64]:
-    """Vertices without those inside other geometry, whose transfer is that of neighbours.
+    """Vertices without those inside other geometry, which see nothing of the sky and have the transfer of neighbours.
 
-    Under maps they show by being black in the reference.
+    Under maps all stay: there such vertices show by being black in the reference (`count_black`).
     """
     if light.environments or not planned.by_blocks or vertices.size == 0:
         return vertices
     quick = planned.with_settings(samples=tuning.interior_samples, bandlimit=1)
     return vertices[quick.estimator().estimate(vertices).blocked < 1.0]
+
+
+def count_black(metric: ErrorMetric) -> NDArray[np.int64]:
+    """(lights,) vertices of a metric that do not count in its errors, because the reference has them black.
+
+    The references are there, so that this takes no ray. Beside vertices inside other geometry, these are vertices that
+    nothing bright of the map reaches: where a map has black parts, there may be many.
+    """
+    if isinstance(metric, MapMetric):
+        return np.array([np.sum(~reference.radiance.any(axis=1)) for reference in metric.references], dtype=np.int64)
+    return np.zeros(len(metric.names), dtype=np.int64)
 
 
 def measure_references(

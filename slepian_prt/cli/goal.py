@@ -10,9 +10,9 @@ from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.terminal import describe, print_plan, print_table, progress
 
 if TYPE_CHECKING:
-    from slepian_prt.accuracy.goal import Goal
-    from slepian_prt.accuracy.run import BudgetedResult, Light
+    from slepian_prt.accuracy.goal import Goal, Light
     from slepian_prt.accuracy.trials import Choice
+    from slepian_prt.accuracy.verify import Verification
     from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.transport.settings import TransportSettings
 
@@ -42,7 +42,7 @@ def precompute_toward(
             advance=advance,
             report=report,
         )
-    _print_verification(found, goal)
+    print_verification(found.verification, goal)
     found.packed.save(output)
     say(f"{output}: {describe(found.packed)}; {time.perf_counter() - started:.1f} s in all")
 
@@ -71,16 +71,24 @@ def _print_choices(choices: Sequence[Choice], chosen: Choice, rest: float) -> No
     print_table(dict.fromkeys(headings, "right"), rows, spare=("compression", "transport", "error of transport"))
 
 
-def _print_verification(found: BudgetedResult, goal: Goal) -> None:
-    checked = found.verification
-    for name, error, predicted, noise in zip(
-        checked.names, checked.error, checked.predicted, checked.noise, strict=True
+def print_verification(checked: Verification, goal: Goal) -> None:
+    """What came of it, a line for each light."""
+    for name, left_out, error, predicted, noise in zip(
+        checked.names, checked.left_out, checked.error, checked.predicted, checked.noise, strict=True
     ):
         shown = f"{error:.2%}" if error > noise else f"below the noise, {noise:.2%}"
         say(
-            f"verified on {checked.vertices} vertices held out, {name}: error {shown} (predicted {predicted:.2%}; "
-            f"noise of the reference {noise:.2%})"
+            f"verified on {_counted(checked.vertices, int(left_out))}, {name}: error {shown} (predicted "
+            f"{predicted:.2%}; noise of the reference {noise:.2%})"
         )
     say(f"predicted {checked.predicted_seconds:.1f} s, took {checked.seconds:.1f} s")
     if goal.error is not None and checked.error.max() > goal.error:
         note(f"the error is above the {goal.error:g} that was asked for")
+
+
+def _counted(vertices: int, left_out: int) -> str:
+    """How many vertices an error is of, and which are left out of it."""
+    if left_out == 0:
+        return f"{vertices} vertices held out"
+    share = f"{left_out}, {left_out / vertices:.1%}, left out: inside other geometry, or black in the reference"
+    return f"{vertices - left_out} of {vertices} vertices held out ({share})"
