@@ -87,7 +87,8 @@ albedo_option = click.option(
     "--albedo",
     type=Albedo(),
     metavar="A|R,G,B",
-    help="Diffuse reflectance of a mesh file.  [default: 1, no interreflection]",
+    help="Diffuse reflectance of a mesh.  [default: that of its materials, textures and vertex colours; where the file "
+    "says nothing 1, no interreflection]",
 )
 seed_option = click.option("--seed", default=0, show_default=True, help="The same seed gives the same result.")
 clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")

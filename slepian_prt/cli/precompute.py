@@ -11,6 +11,7 @@ from click.core import ParameterSource
 
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
+    clamp_option,
     environment_option,
     grouping_options,
     output_option,
@@ -66,6 +67,7 @@ _goal_options = together(
     ),
     click.option("--max-seconds", type=float, metavar="S", help="Choose them: the most exact that takes at most S."),
     environment_option("Map that the goal is about"),
+    clamp_option,
 )
 
 
@@ -85,9 +87,10 @@ def precompute(
     max_seconds: float | None,
     environment: tuple[str, ...],
     light_prior: tuple[str, ...],
+    clamp_negative: bool,
     **options: Any,
 ) -> None:
-    """Precompute the transfer of SCENE (ply, obj, stl, off, glb or Mitsuba xml), compress it, write one file.
+    """Precompute the transfer of SCENE (ply, obj, stl, off, glb, gltf or Mitsuba xml), compress it, write one file.
 
     Stopped or killed, the same command goes on from the blocks of vertices that were finished.
 
@@ -104,7 +107,11 @@ def precompute(
     aimed = max_error is not None or max_seconds is not None
     if environment and not aimed:
         raise UserError("`environment` says what `max_error` and `max_seconds` are about; give one of them too")
-    prior = read_light((), light_prior).prior(transport.bandlimit) if light_prior and not aimed else None
+    if clamp_negative and not environment and not light_prior:
+        note("`clamp_negative` has no effect without a map: give `environment` or `light_prior`")
+    prior = None
+    if light_prior and not aimed:
+        prior = read_light((), light_prior, clamp_negative).prior(transport.bandlimit)
     settings = settings_of(CompressionSettings, options, light_prior=prior)
     settings.check(transport.bandlimit)
     files.check_writable(output, scene)
@@ -120,7 +127,8 @@ def precompute(
         }
         goal = Goal(max_error, max_seconds, **given)
         goal.check()
-        precompute_toward(scene, output, goal, read_light(environment, light_prior), settings, transport, started)
+        light = read_light(environment, light_prior, clamp_negative)
+        precompute_toward(scene, output, goal, light, settings, transport, started)
     else:
         _precompute(scene, output, settings, transport)
 

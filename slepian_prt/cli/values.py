@@ -138,7 +138,7 @@ def _read_map(path: str, clamp_negative: bool) -> Environment:
     return light
 
 
-def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Light:
+def read_light(environment: Sequence[str], light_prior: Sequence[str], clamp_negative: bool) -> Light:
     """The light that errors count under: maps, and what compression is made for."""
     from slepian_prt.accuracy.goal import Light
     from slepian_prt.lighting.spectrum import FALLING
@@ -147,6 +147,6 @@ def read_light(environment: Sequence[str], light_prior: Sequence[str]) -> Light:
         raise UserError(f"`light_prior` is empty; give {FALLING} or a map")
     if FALLING in light_prior and len(light_prior) > 1:
         raise UserError(f"`light_prior` is either {FALLING} or maps, not both")
-    known = () if FALLING in light_prior else tuple(_read_map(path, True) for path in light_prior)
+    known = () if FALLING in light_prior else tuple(_read_map(path, clamp_negative) for path in light_prior)
     named = ", ".join(light.name for light in known) or "".join(light_prior)
-    return Light(tuple(read_maps(environment, True)), named, known)
+    return Light(tuple(read_maps(environment, clamp_negative)), named, known)
