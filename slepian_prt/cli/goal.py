@@ -88,7 +88,6 @@ def print_verification(checked: Verification, goal: Goal) -> None:
 
 def _counted(vertices: int, left_out: int) -> str:
     """How many vertices an error is of, and which are left out of it."""
-    if left_out == 0:
-        return f"{vertices} vertices held out"
-    share = f"{left_out}, {left_out / vertices:.1%}, left out: inside other geometry, or black in the reference"
-    return f"{vertices - left_out} of {vertices} vertices held out ({share})"
+    share = 100.0 * left_out / max(1, vertices)
+    others = f"{left_out}, {share:.3g}%, inside other geometry or black in the reference"
+    return f"{vertices - left_out} of {vertices} vertices held out ({others})"

@@ -308,10 +308,10 @@ def test_what_is_left_out_of_a_verification_is_told(capsys):
     print_verification(checked, Goal(error=0.02))
     told = capsys.readouterr()
     assert told.out.splitlines() == [
-        "verified on 2968 of 3072 vertices held out (104, 3.4%, left out: inside other geometry, or black in the "
-        "reference), studio: error 2.70% (predicted 2.60%; noise of the reference 1.00%)",
-        "verified on 3072 vertices held out, sky: error below the noise, 1.00% (predicted 0.10%; noise of the "
-        "reference 1.00%)",
+        "verified on 2968 of 3072 vertices held out (104, 3.39%, inside other geometry or black in the reference), "
+        "studio: error 2.70% (predicted 2.60%; noise of the reference 1.00%)",
+        "verified on 3072 of 3072 vertices held out (0, 0%, inside other geometry or black in the reference), "
+        "sky: error below the noise, 1.00% (predicted 0.10%; noise of the reference 1.00%)",
         "predicted 3.0 s, took 2.0 s",
     ]
     assert told.err == "note: the error is above the 0.02 that was asked for\n"
