@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import sys
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -31,10 +34,20 @@ def info(file: str, as_json: bool) -> None:
         return
     from slepian_prt.cli.terminal import print_plan
 
-    width = max(map(len, content))
+    width = max(map(len, content)) + 1
     for name, value in (content | _in_words(packed)).items():
-        click.echo(f"{name:<{width}} {f'{value:.4g}' if isinstance(value, float) else value}")
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        click.echo(_entry(f"{name:<{width}}", text))
     print_plan(packed.effects)
+
+
+def _entry(name: str, text: str) -> str:
+    """A name with what it is, on a terminal in lines that need not be broken inside words."""
+    if not sys.stdout.isatty():
+        return name + text
+    columns, indent = shutil.get_terminal_size().columns, " " * len(name)
+    options: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
+    return textwrap.fill(text, columns, initial_indent=name, subsequent_indent=indent, **options)
 
 
 def _content(packed: CompressedTransfer) -> dict[str, Any]:

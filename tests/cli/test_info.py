@@ -1,0 +1,56 @@
+"""`info` of a coarse mesh: notes of the mesh, and what is lost between its vertices."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from slepian_prt.cli import main
+from tests.terminal import run_in_terminal
+
+
+@pytest.fixture(scope="module")
+def coarse(tmp_path_factory) -> Path:
+    """The transfer file of a cube on two triangles, with faces that are left out and corners that are not used."""
+    folder = tmp_path_factory.mktemp("coarse")
+    floor = trimesh.Trimesh([[-3, 0, -3], [3, 0, -3], [3, 0, 3], [-3, 0, 3]], [[0, 2, 1], [0, 3, 2]], process=False)
+    box = trimesh.creation.box((1, 1, 1), trimesh.transformations.translation_matrix([0, 0.5, 0]))
+    mesh = trimesh.util.concatenate([floor, box])
+    faces = np.concatenate([mesh.faces, [[0, 0, 1]], mesh.faces[3:4], mesh.faces[5:6]])
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.vertices] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    (folder / "coarse.obj").write_text("\n".join(lines))
+    options = ["--samples", "16", "--bandlimit", "2"]
+    assert main(["precompute", str(folder / "coarse.obj"), "-o", str(folder / "coarse.prt"), *options]) == 0
+    return folder / "coarse.prt"
+
+
+def test_notes_and_the_row_about_light_between_vertices(coarse, capsys):
+    assert main(["info", str(coarse), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["notes"][0] == "1 faces of zero area left out"
+    assert len(content["notes"]) == 2
+    row = next(effect for effect in content["effects"] if effect["name"] == "light between vertices")
+    assert row["verdict"] == "not simulated"
+    assert 0.05 < row["contribution"] < 1.0
+    assert "subdivide" in row["reason"]
+    assert main(["info", str(coarse)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert next(line for line in lines if line.startswith("notes ")).endswith("; ".join(content["notes"]))
+    row = next(line for line in lines if line.startswith("light between vertices"))
+    assert "not simulated" in row
+    assert row.rstrip().endswith("subdivide the faces to see more of it")
+
+
+@pytest.mark.slow
+def test_it_fits_a_terminal(coarse):
+    """80 columns: no line is longer, and no word is broken or lost."""
+    shown = run_in_terminal([sys.executable, "-m", "slepian_prt", "info", str(coarse)], columns=80)
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", shown).replace("\r", "")
+    assert max(map(len, plain.splitlines())) <= 80
+    words = plain.split()
+    for word in ("interpolated", "subdivide", "orientation;", "inside", "consistent", "rays"):
+        assert word in words
