@@ -108,7 +108,7 @@ def precompute_within(
         known = measure_references(planned, goal, light, np.concatenate([chosen_by, others]), tuning)
         metric, held_out = known.subset(slice(chosen_by.size)), known.subset(slice(chosen_by.size, None))
         pilot = Pilot(planned, light, settings, metric, held_out.vertices, report, tuning)
-        unseen = drawn[1].size - others.size
+        unseen = np.setdiff1d(drawn[1], others)
         result = _precompute_and_verify(pilot, held_out, unseen, goal, started, hooks, tuning)
         aim = goal
         for _ in range(tuning.repeats):
@@ -165,7 +165,13 @@ def _resolve(light: Light, planned: PlannedScene) -> Light:
 
 
 def _precompute_and_verify(
-    pilot: Pilot, held_out: ErrorMetric, unseen: int, aim: Goal, started: float, hooks: _Hooks, tuning: SearchTuning
+    pilot: Pilot,
+    held_out: ErrorMetric,
+    unseen: NDArray,
+    aim: Goal,
+    started: float,
+    hooks: _Hooks,
+    tuning: SearchTuning,
 ) -> BudgetedResult:
     """Search, run, and look at vertices that nothing was chosen by, all but the ``unseen`` of them."""
     table, choice = _search(pilot, aim, started)
@@ -174,7 +180,8 @@ def _precompute_and_verify(
     reviews = 0 if aim.error is None else tuning.reviews
     packed = _precompute(pilot, choice, reviews, hooks, tuning)
     hooks.report("verification")
-    checked = verify(held_out, unseen, packed, choice, started=started, predicted_seconds=rest + choice.seconds)
+    planned, predicted = pilot.planned, rest + choice.seconds
+    checked = verify(planned, held_out, unseen, packed, choice, started=started, predicted_seconds=predicted)
     packed = replace(packed, verified=dict(zip(checked.names, checked.error.tolist(), strict=True)))
     return BudgetedResult(packed, table.choices, choice, checked)
 

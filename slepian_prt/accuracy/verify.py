@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.accuracy.trials import Choice
-from slepian_prt.accuracy.vertices import count_black
+from slepian_prt.accuracy.vertices import LeftOut, count_left_out
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import reconstruct
 from slepian_prt.evaluation.vertex_error import ErrorMetric
+from slepian_prt.transport.planned import PlannedScene
 
 
 @dataclass(frozen=True)
@@ -25,10 +26,8 @@ class Verification:
         Of the lights.
     vertices : int
         That were held out: drawn at random from all over the mesh.
-    left_out : (lights,) int
-        Of these, how many do not count in the error, because they lie inside other geometry, where transfer is that of
-        neighbours outside: under maps those that the reference has black, under light of a spectrum those that see
-        nothing of the sky.
+    left_out : LeftOut
+        Of these, how many do not count in the error.
     error, predicted, noise : (lights,)
         Relative RMS over the others; of the reference its own noise.
     seconds, predicted_seconds : float
@@ -37,7 +36,7 @@ class Verification:
 
     names: tuple[str, ...]
     vertices: int
-    left_out: NDArray[np.int64]
+    left_out: LeftOut
     error: NDArray[np.float64]
     predicted: NDArray[np.float64]
     noise: NDArray[np.float64]
@@ -50,14 +49,15 @@ class Verification:
         return float(self.error.max())
 
     @property
-    def left_out_share(self) -> NDArray[np.float64]:
-        """(lights,) part of the vertices held out that do not count, which is about that part of the mesh."""
-        return self.left_out / max(1, self.vertices)
+    def inside_share(self) -> NDArray[np.float64]:
+        """(lights,) part of the vertices held out that lie inside other geometry: about that part of the mesh does."""
+        return self.left_out.inside / max(1, self.vertices)
 
 
 def verify(
+    planned: PlannedScene,
     metric: ErrorMetric,
-    unseen: int,
+    unseen: NDArray,
     packed: CompressedTransfer,
     choice: Choice,
     *,
@@ -68,9 +68,10 @@ def verify(
 
     Parameters
     ----------
+    planned : PlannedScene
     metric : ErrorMetric
         Of the vertices held out.
-    unseen : int
+    unseen : (n,)
         Vertices that were held out too, but see nothing of the sky and are not in the metric.
     packed : CompressedTransfer
     choice : Choice
@@ -81,8 +82,8 @@ def verify(
     error = np.sqrt(squared_error(metric, packed))
     return Verification(
         names=metric.names,
-        vertices=metric.vertices.size + unseen,
-        left_out=count_black(metric) + unseen,
+        vertices=metric.vertices.size + unseen.size,
+        left_out=count_left_out(planned, metric, unseen),
         error=error,
         predicted=choice.error,
         noise=metric.noise,

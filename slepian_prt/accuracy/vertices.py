@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,8 @@ from slepian_prt.accuracy.tuning import TUNING, SearchTuning
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.vertex_error import ErrorMetric, MapMetric, SpectrumMetric
 from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.scene import Scene
+from slepian_prt.transport.interior import _sees_backs
 from slepian_prt.transport.planned import PlannedScene
 
 
@@ -45,8 +49,8 @@ def draw_vertices(
 
 def draw_others(
     planned: PlannedScene, light: Light, known: NDArray, tuning: SearchTuning = TUNING
-) -> tuple[NDArray[np.int64], int]:
-    """About as many vertices as a pilot has that are not ``known``, and how many `leave_out_interior` left out of them.
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """About as many vertices as a pilot has that are not ``known``, and those that `leave_out_interior` took from them.
 
     None if there are too few.
     """
@@ -54,7 +58,7 @@ def draw_others(
     drawn = np.union1d(first, second)
     drawn = drawn[:: max(1, (2 * first.size) // tuning.pilot_vertices)]
     others = leave_out_interior(planned, light, drawn, tuning)
-    return others if others.size >= tuning.fewest_held_out else others[:0], drawn.size - others.size
+    return others if others.size >= tuning.fewest_held_out else others[:0], np.setdiff1d(drawn, others)
 
 
 def leave_out_interior(
@@ -62,7 +66,7 @@ def leave_out_interior(
 ) -> NDArray[np.int64]:
     """Vertices without those inside other geometry, which see nothing of the sky and have the transfer of neighbours.
 
-    Under maps all stay: there such vertices show by being black in the reference (`count_black`).
+    Under maps all stay: there such vertices show by being black in the reference (`count_left_out`).
     """
     if light.environments or not planned.by_blocks or vertices.size == 0:
         return vertices
@@ -70,15 +74,48 @@ def leave_out_interior(
     return vertices[quick.estimator().estimate(vertices).blocked < 1.0]
 
 
-def count_black(metric: ErrorMetric) -> NDArray[np.int64]:
-    """(lights,) vertices of a metric that do not count in its errors, because the reference has them black.
+class LeftOut(NamedTuple):
+    """Vertices held out that do not count in an error, (lights,) int each.
 
-    The references are there, so that this takes no ray. Beside vertices inside other geometry, these are vertices that
-    nothing bright of the map reaches: where a map has black parts, there may be many.
+    Attributes
+    ----------
+    inside : inside other geometry, where transfer is that of neighbours outside, if there are any
+    black : black in the reference all the same; many where a map has black parts
     """
+
+    inside: NDArray[np.int64]
+    black: NDArray[np.int64]
+
+
+def count_left_out(planned: PlannedScene, metric: ErrorMetric, unseen: NDArray) -> LeftOut:
+    """What of the vertices held out does not count in the errors of a metric.
+
+    That costs next to nothing: what is black is known from the references, and only those vertices look around, with
+    48 rays each, whether they see the backs of surfaces, as `find_interior` does.
+
+    Parameters
+    ----------
+    planned : PlannedScene
+    metric : ErrorMetric
+    unseen : (n,)
+        Vertices held out that are not in the metric, because they see nothing of the sky.
+    """
+    dark = [unseen] * len(metric.names)
     if isinstance(metric, MapMetric):
-        return np.array([np.sum(~reference.radiance.any(axis=1)) for reference in metric.references], dtype=np.int64)
-    return np.zeros(len(metric.names), dtype=np.int64)
+        black = [metric.vertices[~reference.radiance.any(axis=1)] for reference in metric.references]
+        dark = [np.union1d(unseen, found) for found in black]
+    interior = _inside(planned.scene, np.unique(np.concatenate(dark)).astype(np.int64))
+    inside = np.array([np.isin(found, interior).sum() for found in dark], dtype=np.int64)
+    return LeftOut(inside, np.array([found.size for found in dark], dtype=np.int64) - inside)
+
+
+def _inside(scene: Scene, dark: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those of some vertices that are inside other geometry, whether they have neighbours outside or not."""
+    if dark.size == 0:
+        return dark  # without the geometry, which convex scenes do not need
+    inside = scene.is_hidden[dark]
+    inside[~inside] = _sees_backs(scene, dark[~inside])
+    return dark[inside]
 
 
 def measure_references(

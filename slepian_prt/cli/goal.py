@@ -73,12 +73,12 @@ def _print_choices(choices: Sequence[Choice], chosen: Choice, rest: float) -> No
 
 def print_verification(checked: Verification, goal: Goal) -> None:
     """What came of it, a line for each light."""
-    for name, left_out, error, predicted, noise in zip(
-        checked.names, checked.left_out, checked.error, checked.predicted, checked.noise, strict=True
+    for name, inside, black, error, predicted, noise in zip(
+        checked.names, *checked.left_out, checked.error, checked.predicted, checked.noise, strict=True
     ):
         shown = f"{error:.2%}" if error > noise else f"below the noise, {noise:.2%}"
         say(
-            f"verified on {_counted(checked.vertices, int(left_out))}, {name}: error {shown} (predicted "
+            f"verified on {_counted(checked.vertices, int(inside), int(black))}, {name}: error {shown} (predicted "
             f"{predicted:.2%}; noise of the reference {noise:.2%})"
         )
     say(f"predicted {checked.predicted_seconds:.1f} s, took {checked.seconds:.1f} s")
@@ -86,8 +86,8 @@ def print_verification(checked: Verification, goal: Goal) -> None:
         note(f"the error is above the {goal.error:g} that was asked for")
 
 
-def _counted(vertices: int, left_out: int) -> str:
+def _counted(vertices: int, inside: int, black: int) -> str:
     """How many vertices an error is of, and which are left out of it."""
-    share = 100.0 * left_out / max(1, vertices)
-    others = f"{left_out}, {share:.3g}%, inside other geometry or black in the reference"
-    return f"{vertices - left_out} of {vertices} vertices held out ({others})"
+    shares = [f"{count}, {100.0 * count / max(1, vertices):.3g}%, " for count in (inside, black)]
+    left_out = f"{shares[0]}inside other geometry, {shares[1]}black in the reference"
+    return f"{vertices - inside - black} of {vertices} vertices held out (left out: {left_out})"

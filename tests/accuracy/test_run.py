@@ -14,7 +14,7 @@ from slepian_prt.accuracy.goal import Goal, Light
 from slepian_prt.accuracy.run import precompute_within
 from slepian_prt.accuracy.tuning import TUNING
 from slepian_prt.accuracy.verify import Verification
-from slepian_prt.accuracy.vertices import count_black, draw_others
+from slepian_prt.accuracy.vertices import LeftOut, count_left_out, draw_others
 from slepian_prt.cli import main
 from slepian_prt.cli.goal import print_verification
 from slepian_prt.compression.codec import caps as codec
@@ -263,8 +263,9 @@ def test_vertices_inside_others_do_not_count(light):
     # One vertex of each two that are neighbours on a curve through space is held out: of those inside a half, but for
     # pairs of an inner and an outer one.
     assert checked.vertices == len(mesh.positions) // 2
-    assert checked.left_out[0] == pytest.approx(642 / 2, abs=10)
-    assert checked.left_out_share[0] == pytest.approx(642 / 3204, abs=10 / 1602)
+    assert checked.left_out.inside[0] == pytest.approx(642 / 2, abs=10)
+    assert checked.left_out.black[0] == 0
+    assert checked.inside_share[0] == pytest.approx(642 / 3204, abs=10 / 1602)
 
 
 def test_others_are_counted_before_those_inside_are_left_out():
@@ -274,31 +275,43 @@ def test_others_are_counted_before_those_inside_are_left_out():
         others, unseen = draw_others(planned, Light(spectrum="1/(l+1)"), known, tuning)
         assert np.intersect1d(others, known).size == 0
         assert others.max() < 642
-        assert unseen == 162 / 2
-        assert others.size + unseen == 402
+        assert unseen.min() >= 642
+        assert unseen.size == 162 / 2
+        assert others.size + unseen.size == 402
         under_map, none = draw_others(planned, LIGHT, known, tuning)
-        assert (under_map.size, none) == (402, 0)
+        assert (under_map.size, none.size) == (402, 0)
         few, _ = draw_others(planned, LIGHT, known, replace(tuning, fewest_held_out=403))
         assert few.size == 0
 
 
-def test_black_references_are_counted_for_each_light():
-    radiance = np.ones((2, 5, 3), dtype=np.float32)
-    radiance[0, :2] = 0.0
-    radiance[1, 4, :2] = 0.0  # blue is left
+def test_what_is_left_out_is_counted_for_each_light():
+    """Vertices of the ball inside are told from others that are black in a reference."""
+    vertices = np.array([0, 1, 640, 642, 700, 803])
+    radiance = np.ones((2, 6, 3), dtype=np.float32)
+    radiance[0, [0, 1, 3, 5]] = 0.0
+    radiance[1, 4] = 0.0
+    radiance[1, 2, :2] = 0.0  # blue is left
     references = tuple(ReferenceVertices(light, 0.01, 1, 0.1) for light in radiance)
-    metric = MapMetric(("a", "b"), (np.ones((3, 1)),) * 2, np.arange(5), references, np.ones((5, 3)))
-    assert count_black(metric).tolist() == [2, 0]
-    vectors = np.ones((4, 9))
-    spectrum = SpectrumMetric.of(falling_prior(2), np.arange(4), (vectors, vectors), np.tile([0.0, 0.0, 1.0], (4, 1)))
-    assert count_black(spectrum).tolist() == [0]
+    metric = MapMetric(("a", "b"), (np.ones((3, 1)),) * 2, vertices, references, np.ones((6, 3)))
+    halves = (np.ones((4, 9)),) * 2
+    spectrum = SpectrumMetric.of(falling_prior(2), np.arange(4), halves, np.tile([0.0, 0.0, 1.0], (4, 1)))
+    nothing = np.zeros(0, dtype=np.int64)
+    with plan_scene(buried(3), TransportSettings(2, 16)) as planned:
+        for measured, unseen, inside, black in (
+            (metric, nothing, [2, 1], [2, 0]),
+            (metric, np.array([5, 650]), [3, 2], [3, 1]),
+            (spectrum, nothing, [0], [0]),
+            (spectrum, np.array([650, 651, 5]), [2], [1]),
+        ):
+            counted = count_left_out(planned, measured, unseen)
+            assert (counted.inside.tolist(), counted.black.tolist()) == (inside, black)
 
 
 def test_what_is_left_out_of_a_verification_is_told(capsys):
     checked = Verification(
         names=("studio", "sky"),
         vertices=3072,
-        left_out=np.array([104, 0]),
+        left_out=LeftOut(np.array([104, 0]), np.array([10, 3072])),
         error=np.array([0.027, 0.0005]),
         predicted=np.array([0.026, 0.001]),
         noise=np.array([0.01, 0.01]),
@@ -308,10 +321,10 @@ def test_what_is_left_out_of_a_verification_is_told(capsys):
     print_verification(checked, Goal(error=0.02))
     told = capsys.readouterr()
     assert told.out.splitlines() == [
-        "verified on 2968 of 3072 vertices held out (104, 3.39%, inside other geometry or black in the reference), "
-        "studio: error 2.70% (predicted 2.60%; noise of the reference 1.00%)",
-        "verified on 3072 of 3072 vertices held out (0, 0%, inside other geometry or black in the reference), "
-        "sky: error below the noise, 1.00% (predicted 0.10%; noise of the reference 1.00%)",
+        "verified on 2958 of 3072 vertices held out (left out: 104, 3.39%, inside other geometry, 10, 0.326%, black in "
+        "the reference), studio: error 2.70% (predicted 2.60%; noise of the reference 1.00%)",
+        "verified on 0 of 3072 vertices held out (left out: 0, 0%, inside other geometry, 3072, 100%, black in the "
+        "reference), sky: error below the noise, 1.00% (predicted 0.10%; noise of the reference 1.00%)",
         "predicted 3.0 s, took 2.0 s",
     ]
     assert told.err == "note: the error is above the 0.02 that was asked for\n"
