@@ -65,6 +65,8 @@ def test_examples_run(page, files, tmp_path, monkeypatch):
     for file in files.iterdir():
         (tmp_path / file.name).symlink_to(file)
     monkeypatch.chdir(tmp_path)
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")  # the current axes are those of no other page
     names: dict[str, Any] = {"__name__": "__main__"}
     for language, text, line in blocks(page):
         if language == "python":

@@ -107,7 +107,7 @@ def lighting_at(
         values = np.asarray(light, dtype=np.float64)
     except (TypeError, ValueError):
         raise UserError(
-            f"light must be a path, an `Environment`, an array or an emitter, not {type(light).__name__}"
+            f"light must be a path, an Environment, an array or an emitter, not {type(light).__name__}"
         ) from None
     wanted = (3, num_coefficients(bandlimit))
     if values.ndim in (2, 3) and values.shape[-2:] == wanted and values.size:

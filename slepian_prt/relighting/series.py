@@ -21,6 +21,9 @@ from slepian_prt.sphere.rotation import rotate_sh
 
 LARGEST_TURNTABLE = 3600
 
+# Part of the vertices from which on negative radiance is worth a remark: what is said with two digits.
+_WORTH_SAYING = 5e-5
+
 
 @dataclass(frozen=True)
 class Lights:
@@ -151,7 +154,7 @@ def relight_series(
         lighting = np.stack([rotate_sh(lighting[0], turn) for turn in lights.turns])
     radiance = relight(packed, lighting)
     negative = max(negative_fraction(one) for one in radiance)
-    if negative > 0.0:
+    if negative >= _WORTH_SAYING:
         most = "at most " if len(radiance) > 1 else ""
         remedy = "" if lights.window else "; `window` damps it"
         report(

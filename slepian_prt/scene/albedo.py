@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.parts import Material, MeshPart, Texture
+from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.textures import FilteredTexture, image_size
 
 log = logging.getLogger(__name__)
@@ -110,23 +111,21 @@ def _mean_around(texture: FilteredTexture, uv: NDArray | None, barycentric: NDAr
     return texture.mean(point, _texels(uv, texture.height, texture.width) / _POINTS**2)
 
 
-def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tuple[str, ...]:
-    """What of the materials of a mesh file is not simulated, as names of effects."""
+def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tuple[LeftOut, ...]:
+    """What of the materials of a mesh file is not simulated."""
     areas = np.array([_area(part) for part in parts])
-    share = float(areas @ np.array(metallic)) / max(float(areas.sum()), 1e-300)
-    named: defaultdict[str, dict[str, None]] = defaultdict(dict)
-    for part in parts:
+    whole = max(float(areas.sum()), 1e-300)
+    named: defaultdict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for part, area in zip(parts, areas, strict=True):
         for effect in part.material.not_simulated if part.material else ():
-            named[effect][part.material.name if part.material else ""] = None
-    rows = [f"{effect} of {_listed(names)}" for effect, names in named.items()]
-    metals = {part.material.name: None for part, m in zip(parts, metallic, strict=True) if part.material and m > 0.5}
+            named[effect][part.material.name if part.material else ""] += area / whole
+    rows = [LeftOut(f"{effect} of {_listed(names)}", sum(names.values())) for effect, names in named.items()]
+    share = float(areas @ np.array(metallic)) / whole
     if share > _METALLIC:
-        of = f" of {_listed(metals)}" if metals else ""
-        rows.insert(
-            0,
-            f"metallic reflection{of} ({share:.0%} of the surface: metals have no diffuse part and stay dark; `albedo` "
-            "lights all as if it were diffuse)",
-        )
+        metals = [part.material.name for part, m in zip(parts, metallic, strict=True) if part.material and m > 0.5]
+        name = f"metallic reflection of {_listed(dict.fromkeys(metals))}" if metals else "metallic reflection"
+        reason = "metals have no diffuse part and stay dark; `albedo` lights the whole model as if it were diffuse"
+        rows.insert(0, LeftOut(name, share, reason))
     return tuple(rows)
 
 

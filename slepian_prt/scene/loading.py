@@ -17,6 +17,7 @@ from slepian_prt.lighting.emitters import emitted_environment
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene import materials
+from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.recentering import coarse_receivers, far_center, load_about
@@ -188,7 +189,7 @@ def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
         view=scene_view,
         sensor=sensor if scene_view is None else None,
         environment=environment,
-        not_simulated=(*shapes.notes, *other_lights),
+        not_simulated=tuple(map(LeftOut, (*shapes.notes, *other_lights))),
     )
 
 

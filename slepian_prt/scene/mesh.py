@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.normals import complete_normals
 from slepian_prt.scene.orientation import parts_inside_out
 from slepian_prt.scene.receivers import Receivers
@@ -42,8 +43,8 @@ class Mesh(Summarised):
         What was repaired, with counts.
     known_albedo : bool
         Whether the albedo is that of materials or colours, not a mere default.
-    not_simulated : tuple of str
-        What the materials have and transport here leaves out, as names of effects.
+    not_simulated : tuple of LeftOut
+        What the materials have and transport here leaves out.
     """
 
     name: str
@@ -53,7 +54,7 @@ class Mesh(Summarised):
     albedo: NDArray[np.float32]
     notes: tuple[str, ...] = ()
     known_albedo: bool = False
-    not_simulated: tuple[str, ...] = ()
+    not_simulated: tuple[LeftOut, ...] = ()
 
     @cached_property
     def receivers(self) -> Receivers:
@@ -112,7 +113,7 @@ class MeshDetails(NamedTuple):
         Vertices of the same number share a computed normal.
     known_albedo : bool or None
         Whether the albedo is known; None: if another than 1 is given.
-    not_simulated : tuple of str
+    not_simulated : tuple of LeftOut
         As of `Mesh`.
     """
 
@@ -120,7 +121,7 @@ class MeshDetails(NamedTuple):
     origin: str
     groups: NDArray | None = None
     known_albedo: bool | None = None
-    not_simulated: tuple[str, ...] = ()
+    not_simulated: tuple[LeftOut, ...] = ()
 
 
 def complete_mesh(

@@ -17,6 +17,7 @@ from slepian_prt.scene.formats.off import read_off
 from slepian_prt.scene.formats.parts import MeshFile, MeshPart
 from slepian_prt.scene.formats.ply import read_ply
 from slepian_prt.scene.formats.stl import read_stl
+from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh, MeshDetails, complete_mesh
 from slepian_prt.scene.normals import split_at_creases
 
@@ -74,7 +75,7 @@ def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
         _check_faces(part, path)
     known = any(part.material is not None or part.colors is not None for part in parts)
     albedo: NDArray[np.float32] | float = 1.0
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
     if known:
         textures: Textures = {}
         values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.piercing import find_pierced
 from slepian_prt.scene.ray_origins import RayOrigins, find_ray_origins
@@ -58,7 +59,7 @@ class Scene:
         The scene's camera if it is of another kind.
     environment : Environment or None
         The scene's own distant light.
-    not_simulated : tuple of str
+    not_simulated : tuple of LeftOut
         What the scene has and transport here leaves out.
     """
 
@@ -76,7 +77,7 @@ class Scene:
     view: View | None
     sensor: Any
     environment: Environment | None
-    not_simulated: tuple[str, ...] = ()
+    not_simulated: tuple[LeftOut, ...] = ()
 
     @property
     def receivers(self) -> Receivers:
