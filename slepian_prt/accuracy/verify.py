@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.accuracy.trials import Choice
-from slepian_prt.accuracy.vertices import LeftOut, count_left_out
+from slepian_prt.accuracy.vertices import NotCounted, count_left_out
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import reconstruct
 from slepian_prt.evaluation.vertex_error import ErrorMetric
@@ -26,7 +26,7 @@ class Verification:
         Of the lights.
     vertices : int
         That were held out: drawn at random from all over the mesh.
-    left_out : LeftOut
+    left_out : NotCounted
         Of these, how many do not count in the error.
     error, predicted, noise : (lights,)
         Relative RMS over the others; of the reference its own noise.
@@ -36,7 +36,7 @@ class Verification:
 
     names: tuple[str, ...]
     vertices: int
-    left_out: LeftOut
+    left_out: NotCounted
     error: NDArray[np.float64]
     predicted: NDArray[np.float64]
     noise: NDArray[np.float64]

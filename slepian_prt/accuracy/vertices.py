@@ -74,7 +74,7 @@ def leave_out_interior(
     return vertices[quick.estimator().estimate(vertices).blocked < 1.0]
 
 
-class LeftOut(NamedTuple):
+class NotCounted(NamedTuple):
     """Vertices held out that do not count in an error, (lights,) int each.
 
     Attributes
@@ -87,7 +87,7 @@ class LeftOut(NamedTuple):
     black: NDArray[np.int64]
 
 
-def count_left_out(planned: PlannedScene, metric: ErrorMetric, unseen: NDArray) -> LeftOut:
+def count_left_out(planned: PlannedScene, metric: ErrorMetric, unseen: NDArray) -> NotCounted:
     """What of the vertices held out does not count in the errors of a metric.
 
     That costs next to nothing: what is black is known from the references, and only those vertices look around, with
@@ -106,7 +106,7 @@ def count_left_out(planned: PlannedScene, metric: ErrorMetric, unseen: NDArray) 
         dark = [np.union1d(unseen, found) for found in black]
     interior = _inside(planned.scene, np.unique(np.concatenate(dark)).astype(np.int64))
     inside = np.array([np.isin(found, interior).sum() for found in dark], dtype=np.int64)
-    return LeftOut(inside, np.array([found.size for found in dark], dtype=np.int64) - inside)
+    return NotCounted(inside, np.array([found.size for found in dark], dtype=np.int64) - inside)
 
 
 def _inside(scene: Scene, dark: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -20,6 +20,7 @@ from slepian_prt.files import atomic_output, check_writable
 from slepian_prt.lighting.emitters import SkyEnvironment
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.sky import Disk, SkyQuadrature, Sun
+from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
@@ -127,7 +128,7 @@ def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
         arrays["albedo"],
         tuple(about["notes"]),
         about["known_albedo"],
-        tuple(about["not_simulated"]),
+        tuple(LeftOut(*row) for row in about["not_simulated"]),
     )
     light = about["environment"]
     return Transfer(

@@ -14,7 +14,7 @@ from slepian_prt.accuracy.goal import Goal, Light
 from slepian_prt.accuracy.run import precompute_within
 from slepian_prt.accuracy.tuning import TUNING
 from slepian_prt.accuracy.verify import Verification
-from slepian_prt.accuracy.vertices import LeftOut, count_left_out, draw_others
+from slepian_prt.accuracy.vertices import NotCounted, count_left_out, draw_others
 from slepian_prt.cli import main
 from slepian_prt.cli.goal import print_verification
 from slepian_prt.compression.codec import caps as codec
@@ -311,7 +311,7 @@ def test_what_is_left_out_of_a_verification_is_told(capsys):
     checked = Verification(
         names=("studio", "sky"),
         vertices=3072,
-        left_out=LeftOut(np.array([104, 0]), np.array([10, 3072])),
+        left_out=NotCounted(np.array([104, 0]), np.array([10, 3072])),
         error=np.array([0.027, 0.0005]),
         predicted=np.array([0.026, 0.001]),
         noise=np.array([0.01, 0.01]),

@@ -10,6 +10,7 @@ import pytest
 import slepian_prt as sp
 from slepian_prt.lighting.emitters import SkyEnvironment
 from slepian_prt.lighting.environment import make_environment
+from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.transfer import Transfer
 from tests.conftest import bumpy
@@ -42,7 +43,9 @@ def traced(tmp_path: Path, light: str = "", more: str = "", **options) -> Transf
 
 
 def test_a_mesh(tmp_path):
-    mesh = replace(bumpy(2), albedo=np.full((162, 3), 0.5, dtype=np.float32), known_albedo=True, notes=("a", "b"))
+    left_out = (LeftOut("transmission", 0.25, "none is"), LeftOut("gloss"))
+    mesh = replace(bumpy(2), known_albedo=True, notes=("a", "b"), not_simulated=left_out)
+    mesh = replace(mesh, albedo=np.full((162, 3), 0.5, dtype=np.float32))
     kept = sp.precompute(mesh, 4, 64)
     assert kept.bounces > 0
     kept.save(tmp_path / "kept.npz")
