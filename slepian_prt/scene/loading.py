@@ -79,7 +79,7 @@ def open_scene(
         raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
     if isinstance(path, Mesh):
         if crease_angle is not None:
-            raise UserError(f"{path.name}: a mesh in memory has its normals; leave out the crease angle, or name a file")
+            raise UserError(f"{path.name}: a mesh in memory has normals; leave out the crease angle, or name a file")
         mesh, source = path, path.name
     else:
         mesh, source = read_mesh(path, crease_angle=180.0 if crease_angle is None else crease_angle), str(path)

@@ -41,8 +41,8 @@ def test_where_normals_are_known(tmp_path):
     )
     for scene, message in (
         (tmp_path / "scene.xml", r"scene\.xml: its shapes say themselves .*; leave out the crease angle"),
-        (sphere(1), r"sphere: a mesh in memory has its normals; leave out the crease angle"),
-        (trimesh.creation.box(), r"a mesh in memory has its normals; leave out the crease angle"),
+        (sphere(1), r"sphere: a mesh in memory has normals; leave out the crease angle"),
+        (trimesh.creation.box(), r"a mesh in memory has normals; leave out the crease angle"),
     ):
         with pytest.raises(UserError, match=message), open_scene(scene, crease_angle=30.0):
             pass
