@@ -91,6 +91,12 @@ albedo_option = click.option(
     "says nothing 1, no interreflection]",
 )
 seed_option = click.option("--seed", default=0, show_default=True, help="The same seed gives the same result.")
+crease_option = click.option(
+    "--crease-angle",
+    type=float,
+    metavar="DEG",
+    help="Edges of a mesh file sharper than this are hard, where the file gives no normals.  [default: none is]",
+)
 clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
 rotate_option = click.option(
     "--rotate", default=0.0, show_default=True, metavar="DEG", help="Turn the map about the up axis y."
@@ -108,6 +114,7 @@ transport_options = together(
     click.option(
         "--view", metavar="CAMERA", help="Of an .xml scene, by id or number: transfer of glossy materials toward it."
     ),
+    crease_option,
     seed_option,
 )
 

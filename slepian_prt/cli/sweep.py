@@ -14,6 +14,7 @@ from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     albedo_option,
     clamp_option,
+    crease_option,
     effects_option,
     environment_option,
     noise_option,
@@ -47,6 +48,7 @@ def _axis(flag: str, kind: type, metavar: str, default: str | None, what: str) -
 @_axis("--bounces", int, "N", None, "Of light between surfaces.  [default: until the rest is below 0.1 %]")
 @effects_option
 @albedo_option
+@crease_option
 @seed_option
 @rotate_option
 @clamp_option

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,8 +53,7 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
         coordinates that are not finite, faces that name vertices which do not exist.
     """
     path = Path(path)
-    if not 0.0 <= crease_angle <= 180.0:
-        raise UserError(f"crease_angle must be a number of degrees in [0, 180], not {crease_angle!r}")
+    check_crease_angle(crease_angle)
     if path.is_dir():
         raise UserError(f"{path}: is a folder; name a mesh file ({', '.join(MESH_SUFFIXES)}) or a Mitsuba .xml")
     if not path.is_file():
@@ -67,6 +67,13 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     for note in file.notes:
         log.info("%s: %s", path, note)
     return _join(file, path, crease_angle)
+
+
+def check_crease_angle(angle: Any) -> None:
+    """Raise UserError unless it is a number of degrees in [0, 180]."""
+    number = isinstance(angle, int | float | np.number) and not isinstance(angle, bool)
+    if not (number and 0.0 <= angle <= 180.0):
+        raise UserError(f"crease_angle must be a number of degrees in [0, 180], not {angle!r}")
 
 
 def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
@@ -90,6 +97,9 @@ def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
         missing = (np.full((n, 3), np.nan) for n in counts)
         normals = np.concatenate([m if p.normals is None else p.normals for p, m in zip(parts, missing, strict=True)])
     points = _points(parts)
+    if crease_angle < 180.0 and normals is not None:
+        which = "all" if all(part.normals is not None for part in parts) else "some"
+        log.info("%s: %s of it has normals in the file, so that `crease_angle` has no effect", path, which)
     if crease_angle < 180.0 and normals is None and len(faces) and np.all(np.isfinite(positions)):
         vertices, faces = split_at_creases(positions, faces, points, crease_angle)
         positions, points = positions[vertices], np.arange(len(vertices))

@@ -54,7 +54,8 @@ def plan_scene(
         As `open_scene`; no face that can be lit.
     """
     clock = Clock()
-    with open_scene(scene, albedo=settings.albedo, view=settings.view) as opened:
+    opening = open_scene(scene, albedo=settings.albedo, view=settings.view, crease_angle=settings.crease_angle)
+    with opening as opened:
         if not opened.receivers.active.any():
             raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
         clock.stop("load")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from slepian_prt.errors import check_bandlimit, check_integer
+from slepian_prt.scene.mesh_files import check_crease_angle
 from slepian_prt.transport.effects import wanted_effects
 
 LARGEST_BANDLIMIT = 50
@@ -28,6 +29,8 @@ class TransportSettings:
     albedo : one or three numbers, or None
     view : id or number of a camera, or None
     seed : int
+    crease_angle : float in [0, 180] or None
+        Of a mesh file without normals.
 
     Raises
     ------
@@ -42,6 +45,7 @@ class TransportSettings:
     albedo: ArrayLike | None = None
     view: str | int | None = None
     seed: int = 0
+    crease_angle: float | None = None
 
     def __post_init__(self) -> None:
         numbers = {
@@ -51,6 +55,8 @@ class TransportSettings:
         }
         if self.bounces is not None:
             numbers["bounces"] = check_integer(self.bounces, "bounces", 0, LARGEST_BOUNCES)
+        if self.crease_angle is not None:
+            check_crease_angle(self.crease_angle)
         for name, number in numbers.items():
             object.__setattr__(self, name, number)
         wanted_effects(self.effects)

@@ -132,6 +132,7 @@ def precompute(
     albedo: ArrayLike | None = None,
     view: str | int | None = None,
     seed: int = 0,
+    crease_angle: float | None = None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Transfer:
@@ -157,6 +158,8 @@ def precompute(
         Transfer toward that camera, of all materials but mirrors and glass; direct light only.
     seed : int
         The same seed gives the same bits.
+    crease_angle : float in [0, 180], optional
+        Degrees: edges of a mesh file sharper than this are hard, where the file gives no normals. By default none is.
     on_plan : callable
         Given the effects plan before the heavy work begins.
     advance : callable
@@ -169,7 +172,7 @@ def precompute(
     ValueError
         Bandlimit, samples, bounces or effects out of range.
     """
-    settings = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed)
+    settings = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle)
     with plan_scene(scene, settings, on_plan) as planned:
         return compute_transfer(planned, advance)
 

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from slepian_prt.cli import main
+from slepian_prt.compression.prt_file import load
 from slepian_prt.renderer.variants import bitmap_module
 
 SMALL = ["--bandlimit", "2", "--samples", "16", "--clusters", "4"]
@@ -49,3 +50,53 @@ def test_clamp_negative_without_a_map(folder, capsys):
     assert capsys.readouterr().err == (
         "note: --clamp-negative has no effect without a map: give --environment or --light-prior\n"
     )
+
+
+# --- Hard edges ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cube(tmp_path) -> Path:
+    """Eight vertices, no normals."""
+    trimesh.creation.box().export(tmp_path / "cube.off")
+    return tmp_path / "cube.off"
+
+
+def test_crease_angle(cube, capsys):
+    """With hard edges a cube is its 24 corners of faces, each with the light of its face's own half of the sky."""
+    out = cube.with_suffix(".prt")
+    assert run(["precompute", cube, "-o", out, *SMALL, "--crease-angle", "30"]) == 0
+    assert capsys.readouterr().err == ""
+    packed = load(out)
+    np.testing.assert_allclose(np.abs(packed.mesh.normals).max(axis=1), 1.0, atol=1e-7)
+    assert len(packed.mesh.positions) == 24
+    assert run(["precompute", cube, "-o", out, *SMALL]) == 0
+    assert len(load(out).mesh.positions) == 8
+
+
+def test_crease_angle_of_a_file_with_normals(tmp_path, capsys):
+    ball = trimesh.creation.icosphere(1)
+    trimesh.Trimesh(ball.vertices, ball.faces, vertex_normals=ball.vertices).export(tmp_path / "ball.ply")
+    out = tmp_path / "ball.prt"
+    assert run(["precompute", tmp_path / "ball.ply", "-o", out, *SMALL, "--crease-angle", "30"]) == 0
+    told = capsys.readouterr().err
+    assert told.endswith("ball.ply: all of it has normals in the file, so that --crease-angle has no effect\n")
+    assert told.count("\n") == 1
+    assert len(load(out).mesh.positions) == 42
+
+
+@pytest.mark.parametrize("command", ["precompute", "compare", "sweep"])
+def test_crease_angles_that_make_no_sense(command, cube, folder, capsys):
+    light = [] if command == "precompute" else ["--environment", folder / "negative.exr"]
+    out = folder / ("x.prt" if command == "precompute" else "x")
+    (folder / "scene.xml").write_text('<scene version="3.0.0"/>')
+    clamped = ["--clamp-negative"] if light else []
+    for scene, angle, message in (
+        (cube, "200", "--crease-angle must be a number of degrees in [0, 180], not 200.0"),
+        (cube, "nan", "--crease-angle must be a number of degrees in [0, 180], not nan"),
+        (folder / "scene.xml", "30", "its shapes say themselves which edges are hard; leave out the crease angle"),
+    ):
+        assert run([command, scene, "-o", out, *light, *clamped, "--crease-angle", angle]) == 2
+        told = capsys.readouterr().err.splitlines()
+        assert message in told[-1]
+        assert not out.exists() or not list(out.iterdir())

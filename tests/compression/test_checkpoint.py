@@ -3,6 +3,7 @@ import subprocess
 import sys
 import tracemalloc
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -237,6 +238,16 @@ def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):
         with pytest.raises(Killed):
             precompute_compressed(bumpy(3), how, transport)
         assert len(list(cache.iterdir())) == number + 1
+
+
+def test_hard_edges_do_not_take_the_blocks_of_smooth_ones(monkeypatch, cache, tmp_path):
+    monkeypatch.setattr(stores.Journal, "__iter__", lambda _: (_ for _ in ()).throw(Killed))
+    mesh, path = bumpy(3), tmp_path / "bumpy.off"
+    trimesh.Trimesh(mesh.positions, mesh.faces, process=False).export(path)
+    for angle, journals in ((None, 1), (180.0, 1), (25.0, 2), (24.0, 3), (25.0, 3)):
+        with pytest.raises(Killed):
+            precompute_compressed(path, CompressionSettings(clusters=6), replace(JOB, crease_angle=angle))
+        assert len(list(cache.iterdir())) == journals
 
 
 @pytest.mark.slow
