@@ -182,7 +182,15 @@ def _precompute_and_verify(
     hooks.report("verification")
     planned, predicted = pilot.planned, rest + choice.seconds
     checked = verify(planned, held_out, unseen, packed, choice, started=started, predicted_seconds=predicted)
-    packed = replace(packed, verified=dict(zip(checked.names, checked.error.tolist(), strict=True)))
+    packed = replace(
+        packed,
+        verified=dict(zip(checked.names, checked.error.tolist(), strict=True)),
+        verified_vertices=checked.vertices,
+        verified_left_out={
+            name: {"inside": inside, "black": black}
+            for name, inside, black in zip(checked.names, *(part.tolist() for part in checked.left_out), strict=True)
+        },
+    )
     return BudgetedResult(packed, table.choices, choice, checked)
 
 

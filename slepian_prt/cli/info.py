@@ -71,6 +71,8 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "light_prior": packed.prior or None,
         "predicted_error_under_prior": packed.predicted_error_under_prior,
         "verified_error": packed.verified or None,
+        "verified_vertices": packed.verified_vertices or None,
+        "verified_left_out": packed.verified_left_out or None,
         "samples": packed.samples,
         "seed": packed.seed,
         "rays_traced": packed.rays_traced,
@@ -81,8 +83,15 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
 
 def _in_words(packed: CompressedTransfer) -> dict[str, str | None]:
     """What JSON has as lists and tables."""
+    held_out = max(1, packed.verified_vertices)
+    left_out = (
+        f"{name} {count} {which} ({100.0 * count / held_out:.3g}%)"
+        for name, counts in packed.verified_left_out.items()
+        for which, count in counts.items()
+    )
     return {
         "seconds": ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items()),
         "verified_error": ", ".join(f"{name} {error:.4g}" for name, error in packed.verified.items()) or None,
+        "verified_left_out": ", ".join(left_out) or None,
         "notes": "; ".join(packed.mesh.notes) or "none",
     }

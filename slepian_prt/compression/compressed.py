@@ -61,6 +61,11 @@ class CompressedTransfer(Summarised):
         Whether this is transfer toward that camera.
     verified : dict of str to float
         Where a goal was set: relative RMS errors of relit radiance, measured on vertices held out, by light.
+    verified_vertices : int
+        How many were held out.
+    verified_left_out : dict of str to dict of str to int
+        Of them, how many do not count in the error, by light: ``inside`` other geometry, and else ``black`` in the
+        reference.
     """
 
     mesh: Mesh
@@ -87,6 +92,8 @@ class CompressedTransfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     verified: dict[str, float] = field(default_factory=dict)
+    verified_vertices: int = 0
+    verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)
 
     @property
     def coding(self) -> str:

@@ -61,6 +61,8 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
         "view": None if packed.view is None else packed.view.as_dict(),
         "toward_view": packed.toward_view,
         "verified": packed.verified,
+        "verified_vertices": packed.verified_vertices,
+        "verified_left_out": packed.verified_left_out,
         "written_by": f"slepian_prt {version('slepian_prt')}",
     }
     mesh: dict[str, NDArray] = {
@@ -196,6 +198,8 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         view=None if manifest["view"] is None else View(**manifest["view"]),
         toward_view=bool(manifest["toward_view"]),
         verified=dict(manifest.get("verified", {})),
+        verified_vertices=int(manifest.get("verified_vertices", 0)),
+        verified_left_out=dict(manifest.get("verified_left_out", {})),
     )
 
 

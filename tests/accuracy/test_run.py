@@ -265,6 +265,8 @@ def test_vertices_inside_others_do_not_count(light):
     assert checked.vertices == len(mesh.positions) // 2
     assert checked.left_out.inside[0] == pytest.approx(642 / 2, abs=10)
     assert checked.left_out.black[0] == 0
+    assert found.packed.verified_vertices == checked.vertices
+    assert found.packed.verified_left_out == {checked.names[0]: {"inside": checked.left_out.inside[0], "black": 0}}
     assert checked.inside_share[0] == pytest.approx(642 / 3204, abs=10 / 1602)
 
 
@@ -378,3 +380,7 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     assert packed.samples == 128
     assert packed.verified["sky"] == pytest.approx(verified, abs=1e-4)
     assert packed.verified["sky"] <= 0.1
+    line = re.search(r"verified on (\d+) of (\d+) vertices held out \(left out: (\d+), .* geometry, (\d+),", out)
+    counted, held_out, inside, black = map(int, line.groups())
+    assert packed.verified_vertices == held_out == counted + inside + black
+    assert packed.verified_left_out == {"sky": {"inside": inside, "black": black}}

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import trimesh
 
 from slepian_prt.cli import main
+from slepian_prt.compression.prt_file import load
 from tests.terminal import run_in_terminal
 
 
@@ -43,6 +45,25 @@ def test_notes_and_the_row_about_light_between_vertices(coarse, capsys):
     row = next(line for line in lines if line.startswith("light between vertices"))
     assert "not simulated" in row
     assert row.rstrip().endswith("subdivide the faces to see more of it")
+
+
+def test_what_was_left_out_of_a_verification(coarse, tmp_path, capsys):
+    """Stored, and shown as a count and a share; files of before have none."""
+    left_out = {"studio": {"inside": 104, "black": 0}, "sky": {"inside": 104, "black": 335}}
+    checked = {"verified": {"studio": 0.027, "sky": 0.01}, "verified_left_out": left_out}
+    replace(load(coarse), verified_vertices=3072, **checked).save(tmp_path / "verified.prt")
+    assert main(["info", str(tmp_path / "verified.prt"), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["verified_error"] == checked["verified"]
+    assert (content["verified_vertices"], content["verified_left_out"]) == (3072, left_out)
+    assert main(["info", str(tmp_path / "verified.prt")]) == 0
+    lines = {line.split()[0]: line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()[:25]}
+    assert lines["verified_vertices"] == "3072"
+    assert lines["verified_left_out"] == (
+        "studio 104 inside (3.39%), studio 0 black (0%), sky 104 inside (3.39%), sky 335 black (10.9%)"
+    )
+    assert main(["info", str(coarse)]) == 0
+    assert re.search(r"^verified_left_out +None$", capsys.readouterr().out, re.MULTILINE)
 
 
 @pytest.mark.slow
