@@ -52,7 +52,7 @@ class Scene:
     two_sided : tuple of bool
         Whether the back of each receiver reflects light.
     has_materials : bool
-        Whether the albedo is known; a mesh file says nothing about it.
+        Whether the albedo is known; a mesh file without materials and colours says nothing about it.
     view : View or None
         The scene's camera, if it is a plain perspective one.
     sensor : Mitsuba sensor or None

@@ -200,7 +200,7 @@ class _Decisions:
             reason = "no blocked direction sees a surface that reflects"
             return Effect("interreflection", OMITTED, 0.0, 0.0, 0, reason)
         if not self._scene.has_materials:
-            reason = "a mesh file says nothing about its albedo; `albedo` sets it (this bound is for an albedo of 1)"
+            reason = "nothing says what its albedo is; `albedo` sets it (this bound is for an albedo of 1)"
             return row(OMITTED, reason)
         if bound + half_width < TOLERANCE:
             return row(OMITTED, f"at most {bound + half_width:.1%} of the light")
