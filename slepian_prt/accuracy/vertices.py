@@ -13,7 +13,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.evaluation.vertex_error import ErrorMetric, MapMetric, SpectrumMetric
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
-from slepian_prt.transport.interior import _sees_backs
+from slepian_prt.transport.interior import sees_backs
 from slepian_prt.transport.planned import PlannedScene
 
 
@@ -114,7 +114,7 @@ def _inside(scene: Scene, dark: NDArray[np.int64]) -> NDArray[np.int64]:
     if dark.size == 0:
         return dark  # without the geometry, which convex scenes do not need
     inside = scene.is_hidden[dark]
-    inside[~inside] = _sees_backs(scene, dark[~inside])
+    inside[~inside] = sees_backs(scene, dark[~inside])
     return dark[inside]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -89,8 +88,8 @@ def compare(
     UserError, ValueError
     """
     check_lights(scene, environments)
-    if not (math.isfinite(noise) and noise > 0.0):
-        raise UserError(f"noise must be a positive number, not {noise!r}")
+    if not 0.0 < noise < 1.0:
+        raise UserError(f"noise must be a number in (0, 1), not {noise!r}")
     check_methods(methods)
     transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
     finish = finish or Finish("white")

@@ -51,7 +51,7 @@ def find_interior(scene: Scene, dark: NDArray) -> InteriorVertices:
         pairs = np.zeros((0, 2), dtype=np.int64)  # without the geometry, which convex scenes do not need
     else:
         pierced, dark = scene.pierced, dark[~scene.is_hidden[dark]]
-        inside[dark[_sees_backs(scene, dark)]] = True
+        inside[dark[sees_backs(scene, dark)]] = True
         pairs = scene.receivers.neighbours
         pairs = np.concatenate([pairs, pairs[:, ::-1]])
         pairs = np.concatenate([pairs[inside[pairs[:, 0]]], pierced])
@@ -63,8 +63,8 @@ def find_interior(scene: Scene, dark: NDArray) -> InteriorVertices:
     return InteriorVertices(vertices, weights)
 
 
-def _sees_backs(scene: Scene, vertices: NDArray) -> NDArray[np.bool_]:
-    """(n,) True where most of what is around a vertex turns its back to it."""
+def sees_backs(scene: Scene, vertices: NDArray) -> NDArray[np.bool_]:
+    """(n,) True where most of what is around a vertex turns its back to it: where it is inside something."""
     if vertices.size == 0:
         return np.zeros(0, dtype=bool)
     import drjit as dr

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from slepian_prt.errors import UserError
+from slepian_prt.evaluation.compare import compare
 from slepian_prt.evaluation.sweep.axes import Axes, Setting
 from slepian_prt.evaluation.sweep.checkpoint import SweepCheckpoint
 from slepian_prt.evaluation.sweep.report import _well_apart, write_sweep
@@ -229,3 +230,26 @@ def test_axes_without_values():
     with pytest.raises(UserError, match="tolerances has no values"):
         Axes(tolerances=()).check()
     assert np.prod([len(values) for values in vars(AXES).values()]) == len(list(AXES.settings()))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, float("nan"), -0.1])
+def test_noise_that_makes_no_sense(noise):
+    light = make_environment(np.ones((4, 8, 3)))
+    for run in (sweep, compare):
+        axes = {"axes": Axes(), "transport": TransportSettings()} if run is sweep else {}
+        with pytest.raises(UserError, match=r"^noise must be a number in \(0, 1\), not"):
+            run("ball.ply", [light], noise=noise, **axes)
+
+
+def test_work_on_a_scene_with_a_curve_is_kept(tmp_path):
+    """Curves know no area; another one is another scene."""
+    keys = []
+    for middle in (0.2, 0.2, 0.3):
+        (tmp_path / "hair.txt").write_text(f"-1 1 0 .05\n0 1 {middle} .05\n0 1 -0.5 .05\n0 1 0.5 .05\n1 1 0 .05\n")
+        (tmp_path / "scene.xml").write_text(
+            f"""<scene version="3.0.0"><shape type="rectangle"><bsdf type="diffuse"/></shape><shape type="bsplinecurve">
+            <string name="filename" value="{tmp_path}/hair.txt"/><bsdf type="conductor"/></shape></scene>"""
+        )
+        with plan_scene(tmp_path / "scene.xml", TransportSettings(1, 16)) as planned:
+            keys.append(SweepCheckpoint(None, planned, (), 0.1)._key)
+    assert keys[0] == keys[1] != keys[2]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slepian_prt.compression.fingerprint import shape_arrays
 from slepian_prt.evaluation.provenance import machine, versions
 from slepian_prt.evaluation.sweep.axes import Setting
 from slepian_prt.evaluation.sweep.results import Point
@@ -74,12 +75,11 @@ def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noi
     settings = replace(planned.settings, samples=1, bandlimit=0, bounces=None)
     digest.update(repr((versions(), machine(), settings, noise)).encode())
     mesh = planned.scene.mesh
-    for array in (mesh.positions, mesh.normals, mesh.faces, mesh.albedo):
-        digest.update(np.ascontiguousarray(array).tobytes())
+    arrays = [mesh.positions, mesh.normals, mesh.faces, mesh.albedo]
     for shape in planned.scene.occluders:
-        box = shape.bbox()
-        area = float(np.array(shape.surface_area()).ravel()[0])
-        digest.update(repr((np.array(box.min), np.array(box.max), area)).encode())
+        arrays += shape_arrays(planned.scene.mi, shape)
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
     for environment in environments:
         digest.update(repr((environment.name, environment.to_world.tolist())).encode())
         digest.update(environment.texels.tobytes())

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slepian_prt.errors import UserError
 from slepian_prt.evaluation.lights import check_lights, lights_of
 from slepian_prt.evaluation.sweep.axes import Axes
 from slepian_prt.evaluation.sweep.checkpoint import SweepCheckpoint
@@ -60,6 +61,8 @@ def sweep(
     """
     axes.check()
     check_lights(scene, environments)
+    if not 0.0 < noise < 1.0:
+        raise UserError(f"noise must be a number in (0, 1), not {noise!r}")
     settings = list(axes.settings())
     finest = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
     with plan_scene(scene, finest, on_plan) as planned:
