@@ -247,7 +247,7 @@ def transfers(ball) -> dict[str, sp.Transfer]:
         {"tolerance": 0.05, "group_by": "bent", "occlusion_classes": 3},
         {"tolerance": 0.05, "light_prior": sp.falling_prior(4)},
         {"tolerance": 0.05, "basis": "cpca"},
-        {"tolerance": 10.0},  # nothing is left but the mean
+        {"tolerance": 0.99},  # nothing is left but the mean
         {"terms": 6},
         {"terms": 6, "coding": "float16"},
         {"terms": 6, "coding": "float16", "refine": True},
