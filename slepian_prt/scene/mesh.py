@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -141,6 +142,7 @@ def complete_mesh(
     f = _without_degenerate(p, f, notes)
     if f.size == 0:
         raise UserError(f"{origin}: every face has zero area; export the mesh again")
+    _remark_on_winding(f, notes)
     given, groups = _fitting(normals, p, notes), details.groups
     colour = np.broadcast_to(np.asarray(albedo, dtype=np.float32), (len(p), 3))
     if details.crease_angle < 180.0:
@@ -149,7 +151,7 @@ def complete_mesh(
         vertices, f, groups = split_at_creases(p, f, places, details.crease_angle, known)
         p, colour, given = p[vertices], colour[vertices], None if given is None else given[vertices]
     unit = complete_normals(p, f, given, groups, notes)
-    notes.extend(_remarks_on_orientation(p, unit, f))
+    _remark_on_parts(p, unit, f, notes)
     for note in notes:
         log.info("%s: %s", origin, note)
     colour = np.ascontiguousarray(colour)
@@ -199,21 +201,24 @@ def _fitting(normals: ArrayLike | None, positions: NDArray, notes: list[str]) ->
     return None
 
 
-def _remarks_on_orientation(p: NDArray, unit: NDArray, f: NDArray) -> list[str]:
-    remarks = []
+def _remark_on_winding(f: NDArray, notes: list[str]) -> None:
     twisted = _twice_in_one_direction(f)
     if twisted > _TWISTED * len(f):
-        remarks.append(f"{twisted} edges join faces of opposite orientation; make the winding consistent")
+        notes.append(f"{twisted} edges join faces of opposite orientation; make the winding consistent")
+
+
+def _remark_on_parts(p: NDArray, unit: NDArray, f: NDArray, notes: list[str]) -> None:
     wrong = parts_inside_out(p, unit, f)
     if wrong:
         some = f"{len(wrong)} closed parts are" if len(wrong) > 1 else "a closed part is"
-        middle = ", ".join(f"{x:.3g}" for x in p[wrong[0]].mean(axis=0))
+        part = p[wrong[0]]
+        digits = 3 - math.floor(math.log10(float(np.ptp(part, axis=0).max())))  # of its own size, none of rounding
+        middle = ", ".join(f"{round(x, digits) + 0.0:.3g}" for x in part.mean(axis=0).tolist())
         first, its = ("the first of ", "their") if len(wrong) > 1 else ("", "its")
-        remarks.append(
-            f"{some} inside out among others that are not ({first}{wrong[0].size} vertices about {middle}) and will be "
+        notes.append(
+            f"{some} inside out among others that are not ({first}{len(part)} vertices about {middle}) and will be "
             f"dark; turn {its} faces round"
         )
-    return remarks
 
 
 def half_edges(faces: NDArray) -> NDArray[np.int64]:

@@ -71,8 +71,8 @@ def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
     parts, origin = file.parts, str(path)
     for part in parts:
         check_faces(part.faces, len(part.positions), origin)
-    counts = [len(part.positions) for part in parts]
-    starts = np.cumsum([0, *counts[:-1]])
+    counts = np.array([len(part.positions) for part in parts], dtype=np.int64)
+    starts = np.cumsum(counts) - counts
     empty = np.zeros((0, 3))
     positions = np.concatenate([empty, *(part.positions for part in parts)])
     faces = np.concatenate([empty.astype(np.int64), *(p.faces + start for p, start in zip(parts, starts, strict=True))])

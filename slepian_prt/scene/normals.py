@@ -134,7 +134,8 @@ def split_at_creases(
     corners, first_faces, other_faces = _shared_edges(groups[faces])
     normals = face_normals(positions, faces)
     cosine = np.einsum("ij,ij->i", normals[first_faces], normals[other_faces])
-    one, other = corners[:, cosine >= math.cos(math.radians(degrees)) - _ROUNDING].reshape(2, -1)
+    smooth = cosine >= math.cos(math.radians(degrees)) - _ROUNDING
+    one, other = corners[..., smooth].reshape(2, -1)
     count, vertices = faces.size, len(positions)
     links = coo_array((np.ones(one.size, dtype=np.int8), (one, other)), shape=(count, count))
     _, fan = connected_components(links, directed=False)

@@ -103,7 +103,7 @@ def image_size(texture: Texture) -> tuple[int, int]:
 @contextmanager
 def _opened(texture: Texture) -> Iterator[Any]:
     """The image; whatever goes wrong while it is open is one line."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     source = texture.source if isinstance(texture.source, Path) else io.BytesIO(texture.source)
     if isinstance(source, Path) and not source.is_file():
@@ -116,6 +116,8 @@ def _opened(texture: Texture) -> Iterator[Any]:
     except Image.DecompressionBombError:
         most = 2 * (Image.MAX_IMAGE_PIXELS or 0)
         raise UserError(f"texture {texture.name}: has more than {most} texels, the most that is read") from None
+    except UnidentifiedImageError:  # its message tells an address in memory
+        raise UserError(f"texture {texture.name}: is no image of a kind that is known, or damaged") from None
     except Exception as error:  # Pillow raises much more than OSError on damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(f"texture {texture.name}: cannot be read as an image ({reason})") from None
