@@ -3,6 +3,9 @@
 Where a foot is sunk a little into a floor, its lowest vertices are under the floor. In a closed slab they are dark;
 under a sheet they see the sky from below, and the triangles that reach up through the floor would show it above. Nobody
 sees the vertices themselves: they take what their neighbours on the other side of the floor receive.
+
+Not so where a surface goes on to the other side around what divides it, as a wall does around an awning that is fixed to
+it, nor where sheets cross, as those of a plant do: both sides of these are seen.
 """
 
 from __future__ import annotations
@@ -11,11 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
+from slepian_prt.scene.formats.joining import join_equal
 from slepian_prt.scene.segments import are_blocked, met_faces
 
 if TYPE_CHECKING:
     from slepian_prt.scene.scene import Scene
+
+# A sheet is no thicker than this part of its length.
+_FLAT = 1e-3
 
 
 def find_pierced(scene: Scene) -> NDArray[np.integer]:
@@ -40,7 +49,42 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
             met = met_faces(scene, above[:, begin], above[:, end])
             pairs.append(pair[_shows_its_back(scene, met, way) & ~_is_at(scene, met, pair[:, 0])])
     found = np.unique(np.concatenate(pairs), axis=0)
-    return found[~np.isin(found[:, 1], found[:, 0])]
+    found = found[~np.isin(found[:, 1], found[:, 0])]
+    return found[_is_cut_off(scene, found)] if len(found) else found
+
+
+def _is_cut_off(scene: Scene, pairs: NDArray) -> NDArray[np.bool_]:
+    """(n,) whether vertices are connected to their neighbours through the surface alone, and not parts of a sheet."""
+    positions = scene.traced_positions
+    first, place = join_equal(positions)  # parts are often split at hard edges
+    edges = place[scene.receivers.neighbours]
+    whole = _pieces(edges, len(first))
+    cut = np.isin(_keys(edges, len(first)), _keys(place[pairs], len(first)))
+    piece = _pieces(edges[~cut], len(first))
+    # A sheet lies in a plane: the least moment of its vertices is none, but for rounding.
+    count = np.bincount(whole)[:, None]
+    mean = np.stack([np.bincount(whole, values) for values in positions[first].T], axis=1) / count
+    offset = positions[first] - mean[whole]
+    moments = np.empty((len(count), 3, 3))
+    for i in range(3):
+        for j in range(3):
+            moments[:, i, j] = np.bincount(whole, offset[:, i] * offset[:, j])
+    least, _, largest = np.linalg.eigvalsh(moments).T
+    flat = least <= _FLAT**2 * largest
+    near, far = place[pairs].T
+    return np.asarray((piece[near] != piece[far]) & ~flat[whole[near]])
+
+
+def _pieces(edges: NDArray, count: int) -> NDArray[np.int32]:
+    """(count,) numbers of the connected components that edges (E, 2) make."""
+    links = coo_array((np.ones(len(edges), dtype=np.int8), edges.T), shape=(count, count))
+    return connected_components(links, directed=False)[1]
+
+
+def _keys(edges: NDArray, count: int) -> NDArray[np.int64]:
+    """(E,) one number for each edge, whichever end comes first."""
+    low, high = np.sort(edges, axis=1).T
+    return np.asarray(low.astype(np.int64) * count + high)
 
 
 def _shows_its_back(scene: Scene, met: NDArray, way: NDArray) -> NDArray[np.bool_]:
