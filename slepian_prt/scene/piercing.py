@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 # A sheet is no thicker than this part of its length.
 _FLAT = 1e-3
 
+# In heights of rays.
+_TOUCHING = 2.0
+
 
 def find_pierced(scene: Scene) -> NDArray[np.integer]:
     """(n, 2) vertices behind the back of a surface, and their neighbours through it that are not behind any.
@@ -39,7 +42,7 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
     for _, (vertices, feet, points) in scene.surroundings.beside():
         height = np.maximum(scene.ray_heights[vertices], 1e-300)
         corners.append(feet + (lowest / height)[:, None] * (points - feet))
-    pairs = []
+    pairs, touching = [], []
     for k in range(3):
         ends, above = scene.mesh.faces[:, [k, (k + 1) % 3]], np.stack([corners[k], corners[(k + 1) % 3]], axis=1)
         blocked = np.flatnonzero(are_blocked(scene, above[:, 0], above[:, 1]))
@@ -47,14 +50,31 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
         for pair, (begin, end) in ((ends, (0, 1)), (ends[:, ::-1], (1, 0))):
             way = above[:, end] - above[:, begin]
             met = met_faces(scene, above[:, begin], above[:, end])
-            pairs.append(pair[_shows_its_back(scene, met, way) & ~_is_at(scene, met, pair[:, 0])])
-    found = np.unique(np.concatenate(pairs), axis=0)
-    found = found[~np.isin(found[:, 1], found[:, 0])]
-    return found[_is_cut_off(scene, found)] if len(found) else found
+            found = _shows_its_back(scene, met, way) & ~_is_at(scene, met, pair[:, 0])
+            pairs.append(pair[found])
+            touching.append(_touch(scene, met[found], pair[found, 0]))
+    found, row = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
+    if len(found) == 0:
+        return found
+    touches = np.bincount(row.ravel(), np.concatenate(touching)) > 0.0
+    kept = ~np.isin(found[:, 1], found[:, 0])
+    found, touches = found[kept], touches[kept]
+    return found[touches | _are_cut_off(scene, found)]
 
 
-def _is_cut_off(scene: Scene, pairs: NDArray) -> NDArray[np.bool_]:
-    """(n,) whether vertices are connected to their neighbours through the surface alone, and not parts of a sheet."""
+def _touch(scene: Scene, met: NDArray, vertices: NDArray) -> NDArray[np.bool_]:
+    """(n,) whether vertices are so near to the plane of a face that only the height of their rays is behind it."""
+    corner = scene.traced_positions[scene.faces[met]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    distance = np.einsum("ij,ij->i", normal, scene.traced_positions[vertices] - corner[:, 0])
+    return np.abs(distance) <= _TOUCHING * scene.ray_heights[vertices] * np.linalg.norm(normal, axis=1)
+
+
+def _are_cut_off(scene: Scene, pairs: NDArray) -> NDArray[np.bool_]:
+    """(n,) whether vertices are on the smaller piece of what falls apart where it is gone through, and not of a sheet.
+
+    The smaller one, as floors may have their normals down: then all that stands on them is behind their backs.
+    """
     positions = scene.traced_positions
     first, place = join_equal(positions)  # parts are often split at hard edges
     edges = place[scene.receivers.neighbours]
@@ -72,7 +92,8 @@ def _is_cut_off(scene: Scene, pairs: NDArray) -> NDArray[np.bool_]:
     least, _, largest = np.linalg.eigvalsh(moments).T
     flat = least <= _FLAT**2 * largest
     near, far = place[pairs].T
-    return np.asarray((piece[near] != piece[far]) & ~flat[whole[near]])
+    size = np.bincount(piece)[piece]
+    return np.asarray((piece[near] != piece[far]) & (size[near] <= size[far]) & ~flat[whole[near]])
 
 
 def _pieces(edges: NDArray, count: int) -> NDArray[np.int32]:

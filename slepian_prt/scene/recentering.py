@@ -34,10 +34,10 @@ def far_center(scene: Any) -> NDArray[np.float64] | None:
     """(3,) the middle of a Mitsuba scene if it is far from the origin for its size, in whole units."""
     box = scene.bbox()
     low, high = (np.array(corner, dtype=np.float64) for corner in (box.min, box.max))
-    center = 0.5 * (low + high)
-    if not np.all(np.isfinite(center)) or np.linalg.norm(center) <= _FAR * np.linalg.norm(high - low):
+    if not np.all(np.isfinite([low, high])):  # without shapes
         return None
-    return np.round(center)
+    center = 0.5 * (low + high)
+    return np.round(center) if np.linalg.norm(center) > _FAR * np.linalg.norm(high - low) else None
 
 
 def load_about(mi: Any, path: Path, center: NDArray) -> Any:
