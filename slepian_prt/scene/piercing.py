@@ -50,24 +50,36 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
         for pair, (begin, end) in ((ends, (0, 1)), (ends[:, ::-1], (1, 0))):
             way = above[:, end] - above[:, begin]
             met = met_faces(scene, above[:, begin], above[:, end])
-            found = _shows_its_back(scene, met, way) & ~_is_at(scene, met, pair[:, 0])
+            pair, way, met = (values[met >= 0] for values in (pair, way, met))
+            starts_behind, near = _place_behind(scene, met, pair[:, 0])
+            shows_back = np.einsum("ij,ij->i", _outward(scene, met), way) > 0.0
+            found = shows_back & starts_behind & (scene.faces[met] != pair[:, :1]).all(axis=1)
             pairs.append(pair[found])
-            touching.append(_touch(scene, met[found], pair[found, 0]))
+            touching.append(near[found])
     found, row = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
     if len(found) == 0:
         return found
     touches = np.bincount(row.ravel(), np.concatenate(touching)) > 0.0
-    kept = ~np.isin(found[:, 1], found[:, 0])
-    found, touches = found[kept], touches[kept]
-    return found[touches | _are_cut_off(scene, found)]
+    hidden = found[touches | _are_cut_off(scene, found)]
+    return hidden[~np.isin(hidden[:, 1], hidden[:, 0])]
 
 
-def _touch(scene: Scene, met: NDArray, vertices: NDArray) -> NDArray[np.bool_]:
-    """(n,) whether vertices are so near to the plane of a face that only the height of their rays is behind it."""
-    corner = scene.traced_positions[scene.faces[met]]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    distance = np.einsum("ij,ij->i", normal, scene.traced_positions[vertices] - corner[:, 0])
-    return np.abs(distance) <= _TOUCHING * scene.ray_heights[vertices] * np.linalg.norm(normal, axis=1)
+def _outward(scene: Scene, met: NDArray) -> NDArray[np.float64]:
+    """(n, 3) unit normals of faces, on the side that their vertex normals tell."""
+    corners = scene.faces[met]
+    positions = scene.traced_positions[corners]
+    normal = np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0])
+    toward = np.einsum("ij,ij->i", normal, scene.receivers.normals[corners].sum(axis=1))
+    length = np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+    return np.asarray((np.sign(toward) / length)[:, None] * normal)
+
+
+def _place_behind(scene: Scene, met: NDArray, vertices: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(n,) whether the rays of vertices start behind the planes of faces; and whether the vertices lie in these."""
+    outward, foot = _outward(scene, met), scene.traced_positions[scene.faces[met, 0]]
+    start = np.einsum("ij,ij->i", outward, scene.ray_origins.front[vertices] - foot)
+    distance = np.einsum("ij,ij->i", outward, scene.traced_positions[vertices] - foot)
+    return start < 0.0, np.abs(distance) <= _TOUCHING * scene.ray_heights[vertices]
 
 
 def _are_cut_off(scene: Scene, pairs: NDArray) -> NDArray[np.bool_]:
@@ -106,17 +118,3 @@ def _keys(edges: NDArray, count: int) -> NDArray[np.int64]:
     """(E,) one number for each edge, whichever end comes first."""
     low, high = np.sort(edges, axis=1).T
     return np.asarray(low.astype(np.int64) * count + high)
-
-
-def _shows_its_back(scene: Scene, met: NDArray, way: NDArray) -> NDArray[np.bool_]:
-    """(n,) whether a face is met from behind on the way (n, 3)."""
-    met_corners = scene.faces[np.maximum(met, 0)]
-    positions = scene.traced_positions[met_corners]
-    normal = np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0])
-    front = np.einsum("ij,ij->i", normal, scene.receivers.normals[met_corners].sum(axis=1))
-    return np.asarray((met >= 0) & (front * np.einsum("ij,ij->i", normal, way) > 0.0))
-
-
-def _is_at(scene: Scene, met: NDArray, vertices: NDArray) -> NDArray[np.bool_]:
-    """(n,) whether a vertex is a corner of the face."""
-    return np.asarray((scene.faces[np.maximum(met, 0)] == vertices[:, None]).any(axis=1))
