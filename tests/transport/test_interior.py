@@ -41,11 +41,25 @@ def test_what_is_under_a_block_takes_the_mean_of_what_is_beside_it():
     assert_exact(filled[others], values[others], "not touched")
 
 
-def test_a_dark_corner_is_not_inside():
-    """In a closed room all is dark, and all that is seen are fronts."""
+@pytest.mark.parametrize("inward", [True, False])
+def test_a_dark_corner_is_not_inside(inward):
+    """Of a closed room half is said to be dark: all that is seen from there are fronts."""
     room = trimesh.creation.box().subdivide()
-    with open_scene(make_mesh(room.vertices, room.faces[:, ::-1])) as scene:
-        assert find_interior(scene, np.arange(len(room.vertices))).vertices.size == 0
+    with open_scene(make_mesh(room.vertices, room.faces[:, ::-1] if inward else room.faces)) as scene:
+        assert find_interior(scene, np.flatnonzero(room.vertices[:, 0] < 0.0)).vertices.size == 0
+
+
+def test_nothing_is_filled_from_what_is_hidden():
+    """Of a post in a slab the row below the top is hidden; those deeper down are not filled from that row."""
+    box = trimesh.creation.box((0.4, 0.4, 2.0)).subdivide().subdivide()
+    block = trimesh.creation.box((8.0, 8.0, 4.0))
+    p, f = joined((box.vertices + [0.1, 0.2, 0.2], box.faces), (block.vertices - [0.0, 0.0, 2.0], block.faces))
+    with open_scene(make_mesh(p, f)) as scene:
+        below = np.flatnonzero(p[: len(box.vertices), 2] < 0.0)
+        found = find_interior(scene, below)
+    height = np.round(p[found.vertices, 2], 6)
+    assert_exact(np.unique(height), [-0.3], "only those next to the top")
+    assert (p[found.weights.indices, 2] > 0.0).all()
 
 
 def test_only_dark_vertices_are_asked_about():
