@@ -4,8 +4,8 @@ Where a foot is sunk a little into a floor, its lowest vertices are under the fl
 under a sheet they see the sky from below, and the triangles that reach up through the floor would show it above. Nobody
 sees the vertices themselves: they take what their neighbours on the other side of the floor receive.
 
-Not so where a surface goes on to the other side around what divides it, as a wall does around an awning that is fixed to
-it, nor where sheets cross, as those of a plant do: both sides of these are seen.
+Not so where a surface goes on to the other side around what divides it, as a wall does around an awning, nor where
+sheets cross, as those of a plant do: both sides of these are seen.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
             pair, way, met = (values[met >= 0] for values in (pair, way, met))
             starts_behind, near = _place_behind(scene, met, pair[:, 0])
             shows_back = np.einsum("ij,ij->i", _outward(scene, met), way) > 0.0
-            found = shows_back & starts_behind & (scene.faces[met] != pair[:, :1]).all(axis=1)
-            pairs.append(pair[found])
-            touching.append(near[found])
+            through = shows_back & starts_behind & (scene.faces[met] != pair[:, :1]).all(axis=1)
+            pairs.append(pair[through])
+            touching.append(near[through])
     found, row = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)
     if len(found) == 0:
         return found

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 # Directions that decide between the sides of a contact, and rays at a time.
 _DIRECTIONS = 64
-# What is nearer than so many heights closes a side in if it fills more than this part of its hemisphere: the gap under a
-# foot that stands almost on the floor, but not the wedge under a wall that leans over it.
+# What is nearer than so many heights closes a side in if it fills more than this part of its hemisphere, as in the gap
+# under a foot that stands almost on the floor, but not in the wedge under a wall that leans over it.
 _NEAR, _CLOSED = 160.0, 0.9
 _RAYS_PER_BLOCK = 1 << 20
 

@@ -154,7 +154,7 @@ class Surroundings:
         height = self.heights / np.maximum(lowest, _STEEPEST)
         return feet + height[:, None] * self.up, feet
 
-    def beside(self, wanted: NDArray[np.bool_] | None = None) -> Iterator[tuple[NDArray[np.float64], PointsAbove]]:
+    def beside(self, wanted: NDArray[np.bool_] | None = None) -> Iterator[tuple[NDArray[np.float32], PointsAbove]]:
         """Points above the faces of vertices (all, or the ones ``wanted``), with the angles of the faces there."""
         for k in range(3):
             vertex = self._faces[:, k]

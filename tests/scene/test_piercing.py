@@ -39,7 +39,7 @@ def test_a_foot_sunk_into_a_sheet_takes_what_its_neighbours_above_receive(hard, 
         p = p @ (q * np.linalg.det(q)).T + [30.0, -20.0, 10.0]
     mesh = make_mesh(p, f)
     heights = joined(post(0.1, hard=hard, cuts=cuts), grid(12, 20.0))[0][:, 2]
-    low = np.flatnonzero((heights[:count] < 0.0))
+    low = np.flatnonzero(heights[:count] < 0.0)
     above = np.zeros(len(p), dtype=bool)
     above[:count] = heights[:count] > 0.0
     vectors = precompute(mesh, 2, 256, effects="direct").vectors
