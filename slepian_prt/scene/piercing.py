@@ -47,10 +47,11 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
         ends, above = scene.mesh.faces[:, [k, (k + 1) % 3]], np.stack([corners[k], corners[(k + 1) % 3]], axis=1)
         blocked = np.flatnonzero(are_blocked(scene, above[:, 0], above[:, 1]))
         ends, above = ends[blocked], above[blocked]
-        for pair, (begin, end) in ((ends, (0, 1)), (ends[:, ::-1], (1, 0))):
-            way = above[:, end] - above[:, begin]
+        for begin, end in ((0, 1), (1, 0)):
             met = met_faces(scene, above[:, begin], above[:, end])
-            pair, way, met = (values[met >= 0] for values in (pair, way, met))
+            known = met >= 0
+            met, pair = met[known], ends[known][:, [begin, end]]
+            way = (above[:, end] - above[:, begin])[known]
             starts_behind, near = _place_behind(scene, met, pair[:, 0])
             shows_back = np.einsum("ij,ij->i", _outward(scene, met), way) > 0.0
             through = shows_back & starts_behind & (scene.faces[met] != pair[:, :1]).all(axis=1)
