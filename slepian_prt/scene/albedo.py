@@ -7,8 +7,10 @@ as interpolation from the vertex weights it, and not by the one texel that the v
 from __future__ import annotations
 
 import logging
+import math
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,28 @@ _FINEST_FACES = 0.1
 # Metal below this part of a material is not worth a remark.
 _METALLIC = 0.01
 
-Textures = dict[int, "FilteredTexture | None"]
+# Texture coordinates beyond this are rubbish, and float32 has no fractions there.
+_LARGEST_UV = 2.0**24
+
+# What is decoded, by the identity of the texture and whether it is sRGB; None for what cannot be used.
+Textures = dict[tuple[int, bool], FilteredTexture | None]
+
+
+class _Use(NamedTuple):
+    """A texture on a part, with the coordinates (F, 3, 2) of the corners of its faces."""
+
+    texture: Texture
+    uv: NDArray[np.float64]
+    is_srgb: bool
+
+    @property
+    def key(self) -> tuple[int, bool]:
+        return id(self.texture), self.is_srgb
+
+    def areas(self) -> NDArray[np.float64]:
+        """(F,) parts of the image that belong to each point of a face that it is looked at."""
+        a, b = self.uv[:, 1] - self.uv[:, 0], self.uv[:, 2] - self.uv[:, 0]
+        return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / _POINTS**2)
 
 
 def _barycentric_grid(n: int) -> NDArray[np.float64]:
@@ -43,38 +66,78 @@ def _barycentric_grid(n: int) -> NDArray[np.float64]:
 _GRID = _barycentric_grid(_POINTS)
 
 
+def decode_textures(parts: Sequence[MeshPart]) -> Textures:
+    """Decode what the materials of all parts refer to, each once and as fine as the finest of its uses needs it.
+
+    What cannot be used is remarked on: reflectance counts as white then, and metal as none.
+    """
+    uses: defaultdict[tuple[int, bool], list[_Use]] = defaultdict(list)
+    for part in parts:
+        for use in (_color_use(part), _metal_use(part)):
+            if use is not None and len(use.uv):
+                uses[use.key].append(use)
+        if part.uv is None and part.material is not None and part.material.texture is not None:
+            log.info("texture %s is left out of '%s', which has no coordinates", part.material.texture.name, part.name)
+    return {key: _decoded(same) for key, same in uses.items()}
+
+
+def _decoded(uses: Sequence[_Use]) -> FilteredTexture | None:
+    texture, is_srgb = uses[0].texture, uses[0].is_srgb
+    try:
+        height, width = image_size(texture)
+        area = min(float(np.quantile(use.areas(), _FINEST_FACES)) for use in uses)
+        finest = int(0.5 * math.log2(max(1.0, area * height * width)))
+        return FilteredTexture(texture, is_srgb=is_srgb, finest=finest)
+    except UserError as error:
+        log.info("%s; %s", error, "it counts as white" if is_srgb else "what it covers counts as not metallic")
+        return None
+
+
+def _color_use(part: MeshPart) -> _Use | None:
+    return _use(part.material.texture if part.material else None, part.uv, True)
+
+
+def _metal_use(part: MeshPart) -> _Use | None:
+    material = part.material
+    if material is None or material.metallic <= 0.0:
+        return None
+    return _use(material.metallic_texture, part.uv if part.metallic_uv is None else part.metallic_uv, False)
+
+
+def _use(texture: Texture | None, uv: NDArray | None, is_srgb: bool) -> _Use | None:
+    if texture is None or uv is None:
+        return None
+    known = np.nan_to_num(np.asarray(uv, dtype=np.float64))
+    return _Use(texture, np.clip(known, -_LARGEST_UV, _LARGEST_UV), is_srgb)
+
+
 def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float32], float]:
     """(V, 3) diffuse reflectance of a part, and the metallic part of its area, which reflects nothing diffusely.
 
-    ``textures`` holds what other parts had decoded, by the identity of the texture; None for what cannot be.
+    ``textures`` are those of `decode_textures`.
     """
     count, material = len(part.positions), part.material or Material("")
-    # Of faces around a vertex, and over the faces: the integral of each corner's weight is a third of the area.
-    corner = part.positions[part.faces]
-    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-    weights = np.stack([np.bincount(part.faces[:, k], area, minlength=count) for k in range(3)]).sum(axis=0) / 3.0
-    color = np.array(material.color, dtype=np.float64)
-    texture = _filtered(material.texture, part.uv, True, textures)
-    metal_uv = part.uv if part.metallic_uv is None else part.metallic_uv
-    metal = _filtered(material.metallic_texture, metal_uv, False, textures) if material.metallic > 0.0 else None
-    if texture is None and metal is None:
-        albedo = np.broadcast_to(color * (1.0 - material.metallic), (count, 3))
-        metallic = material.metallic
+    area = _areas(part)
+    color, metal = (_lookup(use, textures) for use in (_color_use(part), _metal_use(part)))
+    factor = 0.0 if material.metallic_texture is not None and metal is None else material.metallic
+    if color is None and metal is None:
+        albedo, metallic = np.broadcast_to(np.array(material.color) * (1.0 - factor), (count, 3)), factor
     else:
-        total, metallic = np.zeros((count, 3)), 0.0
+        total, weights, metallic = np.zeros((count, 3)), np.zeros(count), 0.0
         for barycentric in _GRID:
-            value = np.broadcast_to(color, (len(part.faces), 3))
-            if texture is not None:
-                value = value * _mean_around(texture, part.uv, barycentric)
-            share = np.full(len(part.faces), material.metallic)
+            value = np.broadcast_to(material.color, (len(part.faces), 3))
+            share = np.full(len(part.faces), factor)
+            if color is not None:
+                value = value * color(barycentric)
             if metal is not None:
-                share = share * _mean_around(metal, metal_uv, barycentric)[:, 2]
-            metallic += float(share @ area) / len(_GRID) / max(float(area.sum()), 1e-300)
+                share = share * metal(barycentric)[:, 2]
+            metallic += float(share @ area) / max(len(_GRID) * float(area.sum()), 1e-300)
             value = value * (1.0 - share)[:, None]
             for k in range(3):
+                weight = area * barycentric[k]
+                weights += np.bincount(part.faces[:, k], weight, minlength=count)
                 for axis in range(3):
-                    weighted = area * barycentric[k] / len(_GRID) * value[:, axis]
-                    total[:, axis] += np.bincount(part.faces[:, k], weighted, minlength=count)
+                    total[:, axis] += np.bincount(part.faces[:, k], weight * value[:, axis], minlength=count)
         albedo = total / np.maximum(weights, 1e-300)[:, None]
     if part.colors is not None:
         albedo = albedo * part.colors
@@ -82,38 +145,18 @@ def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float3
     return np.clip(albedo, 0.0, 1.0).astype(np.float32), metallic
 
 
-def _filtered(texture: Texture | None, uv: NDArray | None, is_srgb: bool, textures: Textures) -> FilteredTexture | None:
-    """The texture for lookups, decoded once; None without one, or if it cannot be used."""
-    if texture is None or uv is None:
+def _lookup(use: _Use | None, textures: Textures) -> Callable[[NDArray], NDArray[np.float32]] | None:
+    """A function that gives (F, 3) means of a texture over the pieces of the faces about a point of them."""
+    texture = None if use is None else textures.get(use.key)
+    if use is None or texture is None:
         return None
-    if id(texture) not in textures:
-        try:
-            height, width = image_size(texture)
-            each = _texels(uv, height, width) / _POINTS**2
-            finest = int(max(0.0, 0.5 * np.log2(max(1.0, float(np.quantile(each, _FINEST_FACES))))))
-            textures[id(texture)] = FilteredTexture(texture, is_srgb=is_srgb, finest=finest)
-        except UserError as error:
-            log.info("%s; it counts as white", error)
-            textures[id(texture)] = None
-    return textures[id(texture)]
-
-
-def _texels(uv: NDArray, height: int, width: int) -> NDArray[np.float64]:
-    """(F,) texels of an image that each face covers."""
-    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).astype(np.float64) * height * width)
-
-
-def _mean_around(texture: FilteredTexture, uv: NDArray | None, barycentric: NDArray) -> NDArray[np.float32]:
-    """(F, 3) mean of a texture over the piece of each face about a point of it."""
-    assert uv is not None
-    point = np.einsum("fkc,k->fc", uv.astype(np.float64), barycentric)
-    return texture.mean(point, _texels(uv, texture.height, texture.width) / _POINTS**2)
+    areas = use.areas()
+    return lambda barycentric: texture.mean(np.einsum("fkc,k->fc", use.uv, barycentric), areas)
 
 
 def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tuple[LeftOut, ...]:
     """What of the materials of a mesh file is not simulated."""
-    areas = np.array([_area(part) for part in parts])
+    areas = np.array([_areas(part).sum() for part in parts])
     whole = max(float(areas.sum()), 1e-300)
     named: defaultdict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for part, area in zip(parts, areas, strict=True):
@@ -129,9 +172,10 @@ def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tu
     return tuple(rows)
 
 
-def _area(part: MeshPart) -> float:
+def _areas(part: MeshPart) -> NDArray[np.float64]:
+    """(F,) twice the areas of the faces."""
     corner = part.positions[part.faces]
-    return float(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum())
+    return np.asarray(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1))
 
 
 def _listed(names: Iterable[str], most: int = 3) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.left_out import LeftOut
-from slepian_prt.scene.normals import complete_normals
+from slepian_prt.scene.normals import are_normals, complete_normals, split_at_creases
 from slepian_prt.scene.orientation import parts_inside_out
 from slepian_prt.scene.receivers import Receivers
 from slepian_prt.summary import Summarised
@@ -24,6 +25,9 @@ _DEGENERATE = 2.0
 
 # Part of the faces from which on flipped neighbours are worth a remark; real scans have a few non-manifold edges.
 _TWISTED = 0.01
+
+# Coordinates whose products of four are still finite.
+_LARGEST = 1e60
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,11 +114,13 @@ class MeshDetails(NamedTuple):
     name, origin : str
         For logs and messages.
     groups : (V,) or None
-        Vertices of the same number share a computed normal.
+        Vertices of the same number are one point of the surface and share a computed normal.
     known_albedo : bool or None
         Whether the albedo is known; None: if another than 1 is given.
     not_simulated : tuple of LeftOut
         As of `Mesh`.
+    crease_angle : float
+        In degrees: edges sharper than this are hard where no normals are given.
     """
 
     name: str
@@ -122,6 +128,7 @@ class MeshDetails(NamedTuple):
     groups: NDArray | None = None
     known_albedo: bool | None = None
     not_simulated: tuple[LeftOut, ...] = ()
+    crease_angle: float = 180.0
 
 
 def complete_mesh(
@@ -131,43 +138,88 @@ def complete_mesh(
     origin = details.origin
     p = np.array(positions, dtype=np.float64, ndmin=2)
     f = np.array(faces, dtype=np.int64, ndmin=2)
-    if p.size == 0:
-        raise UserError(f"{origin}: the mesh has no vertices; export it again with its geometry")
-    if f.size == 0:
-        raise UserError(f"{origin}: the mesh has no faces (a point cloud?); light needs surfaces, so mesh it first")
-    if not np.all(np.isfinite(p)):
-        bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
-        raise UserError(
-            f"{origin}: {bad.size} vertices have NaN or infinite coordinates (the first is vertex {bad[0]}); "
-            "remove them or export the mesh again"
-        )
-    if f.min() < 0 or f.max() >= len(p):
-        bad = np.flatnonzero((f < 0).any(axis=1) | (f >= len(p)).any(axis=1))
-        raise UserError(
-            f"{origin}: {bad.size} faces name vertices that do not exist (face {bad[0]} has {f[bad[0]].tolist()}, "
-            f"the mesh has {len(p)} vertices); export the mesh again"
-        )
+    check_geometry(p, f, origin)
     notes: list[str] = []
     f = _without_degenerate(p, f, notes)
     if f.size == 0:
         raise UserError(f"{origin}: every face has zero area; export the mesh again")
-    unit = complete_normals(p, f, normals, details.groups, notes)
+    _remark_on_winding(f, notes)
+    given, groups = _fitting(normals, p, notes), details.groups
+    colour = np.broadcast_to(np.asarray(albedo, dtype=np.float32), (len(p), 3))
+    if details.crease_angle < 180.0:
+        known = None if given is None else are_normals(given)
+        places = np.arange(len(p)) if groups is None else groups
+        vertices, f, groups = split_at_creases(p, f, places, details.crease_angle, known)
+        p, colour, given = p[vertices], colour[vertices], None if given is None else given[vertices]
+    unit = complete_normals(p, f, given, groups, notes)
+    _remark_on_parts(p, unit, f, notes)
+    for note in notes:
+        log.info("%s: %s", origin, note)
+    colour = np.ascontiguousarray(colour)
+    known_albedo = bool(np.any(colour != 1.0)) if details.known_albedo is None else details.known_albedo
+    return Mesh(details.name, p, unit, f.astype(np.int32), colour, tuple(notes), known_albedo, details.not_simulated)
+
+
+def check_geometry(positions: NDArray, faces: NDArray, origin: str) -> None:
+    """Raise UserError for a mesh without vertices or faces, or with coordinates or indices that cannot be used."""
+    if positions.size == 0:
+        raise UserError(f"{origin}: the mesh has no vertices; export it again with its geometry")
+    if faces.size == 0:
+        raise UserError(f"{origin}: the mesh has no faces (a point cloud?); light needs surfaces, so mesh it first")
+    if not np.all(np.isfinite(positions)):
+        bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+        raise UserError(
+            f"{origin}: {bad.size} vertices have NaN or infinite coordinates (the first is vertex {bad[0]}); "
+            "remove them or export the mesh again"
+        )
+    if np.abs(positions).max() > _LARGEST:
+        bad = np.flatnonzero((np.abs(positions) > _LARGEST).any(axis=1))
+        raise UserError(
+            f"{origin}: {bad.size} vertices have coordinates above {_LARGEST:g} (the first is vertex {bad[0]}); "
+            "remove them or export the mesh again"
+        )
+    check_faces(faces, len(positions), origin)
+
+
+def check_faces(faces: NDArray, count: int, origin: str) -> None:
+    """Raise UserError for faces (F, 3) that name vertices outside of [0, count)."""
+    bad = np.flatnonzero((faces < 0).any(axis=1) | (faces >= count).any(axis=1))
+    if bad.size:
+        raise UserError(
+            f"{origin}: {bad.size} faces name vertices that do not exist (face {bad[0]} has {faces[bad[0]].tolist()}, "
+            f"the mesh has {count} vertices); export the mesh again"
+        )
+
+
+def _fitting(normals: ArrayLike | None, positions: NDArray, notes: list[str]) -> NDArray[np.float64] | None:
+    """The normals given, if there is one for each vertex."""
+    if normals is None:
+        return None
+    given = np.array(normals, dtype=np.float64)
+    if given.shape == positions.shape:
+        return given
+    notes.append(f"normals of shape {given.shape} do not fit the vertices; computed from the faces")
+    return None
+
+
+def _remark_on_winding(f: NDArray, notes: list[str]) -> None:
     twisted = _twice_in_one_direction(f)
     if twisted > _TWISTED * len(f):
         notes.append(f"{twisted} edges join faces of opposite orientation; make the winding consistent")
+
+
+def _remark_on_parts(p: NDArray, unit: NDArray, f: NDArray, notes: list[str]) -> None:
     wrong = parts_inside_out(p, unit, f)
     if wrong:
         some = f"{len(wrong)} closed parts are" if len(wrong) > 1 else "a closed part is"
-        middle = ", ".join(f"{x:.3g}" for x in p[wrong[0]].mean(axis=0))
+        part = p[wrong[0]]
+        digits = 3 - math.floor(math.log10(float(np.ptp(part, axis=0).max())))  # of its own size, none of rounding
+        middle = ", ".join(f"{round(x, digits) + 0.0:.3g}" for x in part.mean(axis=0).tolist())
+        first, its = ("the first of ", "their") if len(wrong) > 1 else ("", "its")
         notes.append(
-            f"{some} inside out among others that are not ({wrong[0].size} vertices about {middle}) and will be dark; "
-            "turn its faces round"
+            f"{some} inside out among others that are not ({first}{len(part)} vertices about {middle}) and will be "
+            f"dark; turn {its} faces round"
         )
-    colour = np.ascontiguousarray(np.broadcast_to(np.asarray(albedo, dtype=np.float32), (len(p), 3)))
-    for note in notes:
-        log.info("%s: %s", origin, note)
-    known = bool(np.any(colour != 1.0)) if details.known_albedo is None else details.known_albedo
-    return Mesh(details.name, p, unit, f.astype(np.int32), colour, tuple(notes), known, details.not_simulated)
 
 
 def half_edges(faces: NDArray) -> NDArray[np.int64]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.albedo import Textures, effects_left_out, vertex_albedo
+from slepian_prt.scene.albedo import decode_textures, effects_left_out, vertex_albedo
 from slepian_prt.scene.formats.gltf import read_gltf
 from slepian_prt.scene.formats.obj import read_obj
 from slepian_prt.scene.formats.off import read_off
@@ -19,8 +19,7 @@ from slepian_prt.scene.formats.parts import MeshFile, MeshPart
 from slepian_prt.scene.formats.ply import read_ply
 from slepian_prt.scene.formats.stl import read_stl
 from slepian_prt.scene.left_out import LeftOut
-from slepian_prt.scene.mesh import Mesh, MeshDetails, complete_mesh
-from slepian_prt.scene.normals import split_at_creases
+from slepian_prt.scene.mesh import Mesh, MeshDetails, check_faces, check_geometry, complete_mesh
 
 log = logging.getLogger(__name__)
 
@@ -77,34 +76,30 @@ def check_crease_angle(angle: Any) -> None:
 
 
 def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
-    parts = file.parts
+    parts, origin = file.parts, str(path)
     for part in parts:
-        _check_faces(part, path)
-    known = any(part.material is not None or part.colors is not None for part in parts)
-    albedo: NDArray[np.float32] | float = 1.0
-    left_out: tuple[LeftOut, ...] = ()
-    if known:
-        textures: Textures = {}
-        values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
-        albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic)
-    counts = [len(part.positions) for part in parts]
-    starts = np.cumsum([0, *counts[:-1]])
+        check_faces(part.faces, len(part.positions), origin)
+    counts = np.array([len(part.positions) for part in parts], dtype=np.int64)
+    starts = np.cumsum(counts) - counts
     empty = np.zeros((0, 3))
     positions = np.concatenate([empty, *(part.positions for part in parts)])
     faces = np.concatenate([empty.astype(np.int64), *(p.faces + start for p, start in zip(parts, starts, strict=True))])
+    check_geometry(positions, faces, origin)
     normals = None
     if any(part.normals is not None for part in parts):
         missing = (np.full((n, 3), np.nan) for n in counts)
         normals = np.concatenate([m if p.normals is None else p.normals for p, m in zip(parts, missing, strict=True)])
-    points = _points(parts)
-    if crease_angle < 180.0 and normals is not None:
-        which = "all" if all(part.normals is not None for part in parts) else "some"
-        log.info("%s: %s of it has normals in the file, so that `crease_angle` has no effect", path, which)
-    if crease_angle < 180.0 and normals is None and len(faces) and np.all(np.isfinite(positions)):
-        vertices, faces = split_at_creases(positions, faces, points, crease_angle)
-        positions, points = positions[vertices], np.arange(len(vertices))
-        albedo = albedo[vertices] if isinstance(albedo, np.ndarray) else albedo
-    return complete_mesh(positions, faces, normals, albedo, MeshDetails(path.stem, str(path), points, known, left_out))
+    known = any(part.material is not None or part.colors is not None for part in parts)
+    albedo: NDArray[np.float32] | float = 1.0
+    left_out: tuple[LeftOut, ...] = ()
+    if known:
+        textures = decode_textures(parts)
+        values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
+        albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic)
+    if crease_angle < 180.0 and parts and all(part.normals is not None for part in parts):
+        log.info("%s: all of it has normals in the file, so that `crease_angle` has no effect", path)
+    details = MeshDetails(path.stem, origin, _points(parts), known, left_out, crease_angle)
+    return complete_mesh(positions, faces, normals, albedo, details)
 
 
 def _points(parts: Sequence[MeshPart]) -> NDArray[np.int64]:
@@ -116,14 +111,3 @@ def _points(parts: Sequence[MeshPart]) -> NDArray[np.int64]:
         numbers.append(np.arange(next_number, next_number + count) if part.points is None else part.points)
         next_number += count if part.points is None else 0
     return np.unique(np.concatenate(numbers), return_inverse=True)[1].ravel()
-
-
-def _check_faces(part: MeshPart, path: Path) -> None:
-    """Raise UserError for faces that name vertices which do not exist, before anything is looked up by them."""
-    count = len(part.positions)
-    if len(part.faces) and (part.faces.min() < 0 or part.faces.max() >= count):
-        wrong = np.flatnonzero((part.faces < 0).any(axis=1) | (part.faces >= count).any(axis=1))
-        raise UserError(
-            f"{path}: {wrong.size} faces name vertices that do not exist (face {wrong[0]} has "
-            f"{part.faces[wrong[0]].tolist()}, the mesh has {count} vertices); export the mesh again"
-        )

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+
+# Faces in one plane differ by the rounding of their normals.
+_ROUNDING = 1e-12
+
+# Faces at one edge that are compared, each with the next ones of the file.
+_MOST_FACES = 16
 
 
 def face_normals(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
@@ -38,16 +47,24 @@ def angle_weighted_normals(positions: NDArray, faces: NDArray, groups: NDArray |
     groups = np.arange(len(positions)) if groups is None else groups
     normals = face_normals(positions, faces)
     total = np.zeros((int(groups.max(initial=-1)) + 1, 3))
+    angles = np.zeros(len(total))
     for corner in range(3):
         angle, group = corner_angles(positions, faces, corner), groups[faces[:, corner]]
+        angles += np.bincount(group, angle, minlength=len(total))
         for axis in range(3):
             total[:, axis] += np.bincount(group, angle * normals[:, axis], minlength=len(total))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(length > 1e-9, total / np.maximum(length, 1e-300), 0.0)
+    length = np.linalg.norm(total, axis=1)
+    return np.where((length > 1e-9 * angles)[:, None], total / np.maximum(length, 1e-300)[:, None], 0.0)
+
+
+def are_normals(vectors: NDArray) -> NDArray[np.bool_]:
+    """(V,) whether vectors (V, 3) are finite and long enough to have a direction."""
+    longest = np.abs(vectors).max(axis=1)
+    return np.asarray(np.isfinite(longest) & (longest > 1e-12))
 
 
 def complete_normals(
-    positions: NDArray, faces: NDArray, given: ArrayLike | None, groups: NDArray | None, notes: list[str]
+    positions: NDArray, faces: NDArray, given: NDArray | None, groups: NDArray | None, notes: list[str]
 ) -> NDArray[np.float64]:
     """(V, 3) unit normals: the ``given`` ones where they are finite and not zero, else computed.
 
@@ -62,15 +79,11 @@ def complete_normals(
     if not used.all():
         notes.append(f"{int((~used).sum())} vertices that no face uses receive no light")
     if given is not None:
-        candidate = np.array(given, dtype=np.float64)
-        if candidate.shape == positions.shape:
-            length = np.linalg.norm(candidate, axis=1)
-            good = np.isfinite(length) & (length > 1e-12)
-            if not good[used].all():
-                notes.append(f"{int((used & ~good).sum())} missing or zero normals computed from the faces")
-            unit[good] = candidate[good] / length[good, None]
-        else:
-            notes.append(f"normals of shape {candidate.shape} do not fit the vertices; computed from the faces")
+        good = are_normals(given)
+        if not good[used].all():
+            notes.append(f"{int((used & ~good).sum())} missing or zero normals computed from the faces")
+        unit[good] = given[good] / np.abs(given[good]).max(axis=1, keepdims=True)  # squares must not overflow
+        unit[good] /= np.linalg.norm(unit[good], axis=1, keepdims=True)
     unit[~used] = 0.0
     lost = used & ~unit.any(axis=1)
     if lost.any():
@@ -82,10 +95,30 @@ def complete_normals(
     return unit
 
 
+class SplitFaces(NamedTuple):
+    """Faces of vertices that no two of them share across a sharp edge.
+
+    Attributes
+    ----------
+    vertices : (W,)
+        The vertex that each new one is a copy of, ascending; vertices that no face uses are among them.
+    faces : (F, 3)
+        Of new vertices.
+    groups : (W,)
+        New vertices that share a computed normal: copies of vertices at one place that smooth edges connect.
+    """
+
+    vertices: NDArray[np.int64]
+    faces: NDArray[np.int64]
+    groups: NDArray[np.int64]
+
+
 def split_at_creases(
-    positions: NDArray, faces: NDArray, groups: NDArray, degrees: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    positions: NDArray, faces: NDArray, groups: NDArray, degrees: float, whole: NDArray | None = None
+) -> SplitFaces:
     """Part the faces at edges that are sharper than an angle.
+
+    Where more than two faces share an edge, any two of them may be smooth.
 
     Parameters
     ----------
@@ -95,38 +128,52 @@ def split_at_creases(
         Vertices at the same place, whose faces are neighbours.
     degrees : float
         Angle between the normals of two faces up to which their edge is smooth.
+    whole : (V,) bool, optional
+        Vertices that stay one whatever their faces.
+    """
+    corners, first_faces, other_faces = _shared_edges(groups[faces])
+    normals = face_normals(positions, faces)
+    cosine = np.einsum("ij,ij->i", normals[first_faces], normals[other_faces])
+    smooth = cosine >= math.cos(math.radians(degrees)) - _ROUNDING
+    one, other = corners[..., smooth].reshape(2, -1)
+    count, vertices = faces.size, len(positions)
+    links = coo_array((np.ones(one.size, dtype=np.int8), (one, other)), shape=(count, count))
+    _, fan = connected_components(links, directed=False)
+    # Vertices that no face uses, and those that stay whole, are fans of their own.
+    alone = np.ones(vertices, dtype=bool)
+    alone[faces] = False
+    vertex = np.concatenate([faces.ravel(), np.flatnonzero(alone)]).astype(np.int64)
+    if whole is not None:
+        alone |= whole
+    fan = np.where(alone[vertex], count + vertex, np.append(fan, np.zeros(vertex.size - count, dtype=fan.dtype)))
+    # Corners of one fan become one vertex, unless the file itself keeps them apart.
+    _, first, which = np.unique(vertex * (count + vertices) + fan, return_index=True, return_inverse=True)
+    return SplitFaces(vertex[first], which[:count].reshape(-1, 3), fan[first])
+
+
+def _shared_edges(places: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of faces with an edge in common; ``places`` (F, 3) are those of their corners.
 
     Returns
     -------
-    vertices : (W,)
-        The vertex that each new one is a copy of.
-    faces : (F, 3)
-        Of new vertices; no two faces share one across a sharp edge.
+    corners : (2, 2, n)
+        Numbers 3 f + k of corners: of the one face and the other, at the two ends of the edge.
+    first, other : (n,)
+        The faces.
     """
-    corner_of = np.arange(3 * len(faces)).reshape(-1, 3)
-    places = groups[faces]
-    normals = face_normals(positions, faces)
-    # Edges of the same two places, next to each other.
+    corner = np.arange(places.size).reshape(-1, 3)
     begin, end = (np.concatenate([places[:, (k + s) % 3] for k in range(3)]) for s in (0, 1))
-    first, second = (np.concatenate([corner_of[:, (k + s) % 3] for k in range(3)]) for s in (0, 1))
+    from_corner, to_corner = (np.concatenate([corner[:, (k + s) % 3] for k in range(3)]) for s in (0, 1))
     along = begin < end  # the corner at the lower place first, whichever way the face runs
     low, high = np.where(along, begin, end), np.where(along, end, begin)
-    at_low, at_high = np.where(along, first, second), np.where(along, second, first)
+    ends = np.stack([np.where(along, from_corner, to_corner), np.where(along, to_corner, from_corner)])
     order = np.lexsort([high, low])
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    one, other = order[:-1][same], order[1:][same]
-    cosine = np.einsum("ij,ij->i", normals[at_low[one] // 3], normals[at_low[other] // 3])
-    smooth = cosine >= np.cos(np.radians(degrees)) - 1e-12
-    one, other = one[smooth], other[smooth]
-    begin = np.concatenate([at_low[one], at_high[one]])
-    end = np.concatenate([at_low[other], at_high[other]])
-    links = coo_array((np.ones(begin.size, dtype=np.int8), (begin, end)), shape=(corner_of.size, corner_of.size))
-    _, fan = connected_components(links, directed=False)
-    # Corners of one fan become one vertex, unless the file itself keeps them apart.
-    keys, first_corner, which = np.unique(
-        fan.astype(np.int64) * (len(positions) + 1) + faces.ravel(), return_index=True, return_inverse=True
-    )
-    rank = np.argsort(faces.ravel()[first_corner], kind="stable")  # in the order of the file
-    place = np.empty(keys.size, dtype=np.int64)
-    place[rank] = np.arange(keys.size)
-    return faces.ravel()[first_corner][rank], place[which.ravel()].reshape(-1, 3)
+    low, high = low[order], high[order]
+    # Edges of the same two places stand next to each other: each with the next one, the one after that, ….
+    pairs, begin = [], np.arange(order.size)
+    for step in range(1, _MOST_FACES):
+        begin = begin[begin + step < order.size]
+        begin = begin[(low[begin] == low[begin + step]) & (high[begin] == high[begin + step])]
+        pairs.append(np.stack([order[begin], order[begin + step]]))
+    one, other = np.concatenate(pairs, axis=1)
+    return np.stack([ends[:, one], ends[:, other]]), ends[0, one] // 3, ends[0, other] // 3

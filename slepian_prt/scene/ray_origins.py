@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
 # Directions that decide between the sides of a contact, and rays at a time.
 _DIRECTIONS = 64
-# What is nearer than so many heights closes a side in, as the gap under a foot that stands almost on the floor.
-_NEAR = 32.0
+# What is nearer than so many heights closes a side in if it fills more than this part of its hemisphere, as in the gap
+# under a foot that stands almost on the floor, but not in the wedge under a wall that leans over it.
+_NEAR, _CLOSED = 160.0, 0.9
 _RAYS_PER_BLOCK = 1 << 20
 
 
@@ -118,7 +119,7 @@ def _choose_sides(surroundings: Surroundings, vertices: NDArray) -> PointsAbove:
     sky, _ = _look_around(scene, points, surroundings.normals[vertex], np.zeros(len(points)))
     _, closed = _look_around(scene, points, upward, _NEAR * np.linalg.norm(upward, axis=1))
     # Sides that are closed in come last, then by darkness; of equal ones the widest.
-    order = np.lexsort([-angle, np.round(sky * _DIRECTIONS / 2.0), closed > 0.5, vertex])
+    order = np.lexsort([-angle, np.round(sky * _DIRECTIONS / 2.0), closed > _CLOSED, vertex])
     first = order[np.append(True, np.diff(vertex[order]) > 0)]
     best = np.empty(len(wanted), dtype=np.int64)
     best[vertex[first]] = first

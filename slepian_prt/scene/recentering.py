@@ -19,9 +19,12 @@ from slepian_prt.scene.receivers import Receivers
 # A scene is moved if the middle of its box is so many diagonals from the origin.
 _FAR = 16.0
 
-# Properties that place a shape without a transform of its own.
-_PLACES = ("center", "p0", "p1")
+# Properties that place something without a transform of its own.
+_PLACES = ("center", "p0", "p1", "position", "origin")
 _PLACED = ("Shape", "Sensor", "Emitter")
+
+# What stands nowhere: its to_world only turns it.
+_DISTANT = ("constant", "directional", "distant", "envmap", "sunsky", "timed_sunsky")
 
 # What float32 resolves to less than this part of the size of a piece of surface is worth a remark.
 _COARSE = 1e-3
@@ -31,12 +34,10 @@ def far_center(scene: Any) -> NDArray[np.float64] | None:
     """(3,) the middle of a Mitsuba scene if it is far from the origin for its size, in whole units."""
     box = scene.bbox()
     low, high = (np.array(corner, dtype=np.float64) for corner in (box.min, box.max))
-    if not np.all(np.isfinite([low, high])):
-        return None  # without shapes the box is empty
-    center = 0.5 * (low + high)
-    if np.linalg.norm(center) <= _FAR * np.linalg.norm(high - low):
+    if not np.all(np.isfinite([low, high])):  # without shapes
         return None
-    return np.round(center)
+    center = 0.5 * (low + high)
+    return np.round(center) if np.linalg.norm(center) > _FAR * np.linalg.norm(high - low) else None
 
 
 def load_about(mi: Any, path: Path, center: NDArray) -> Any:
@@ -45,10 +46,7 @@ def load_about(mi: Any, path: Path, center: NDArray) -> Any:
     config.merge_meshes = config.merge_equivalent = False
     state = mi.parser.parse_file(config, str(path))
     mi.parser.transform_all(config, state)
-    for number in _top_level(mi, state):
-        node = state.nodes[number]
-        if node.type.name in _PLACED:
-            _move(mi, node.props, -center)
+    _move_children(mi, state, state.root.props, -center)
     outside = mi.file_resolver()
     resolver = mi.FileResolver(outside)
     resolver.prepend(str(path.parent))
@@ -59,22 +57,29 @@ def load_about(mi: Any, path: Path, center: NDArray) -> Any:
         mi.set_file_resolver(outside)
 
 
-def _top_level(mi: Any, state: Any) -> list[int]:
-    """The nodes that the scene itself refers to."""
-    properties = state.root.props
-    values = [properties[name] for name in properties]
-    return [int(value.index()) for value in values if isinstance(value, mi.Properties.ResolvedReference)]
+def _move_children(mi: Any, state: Any, parent: Any, by: NDArray) -> None:
+    """Move what the scene, or a shape that is made of others, refers to."""
+    for value in [parent[name] for name in parent]:
+        if not isinstance(value, mi.Properties.ResolvedReference):
+            continue
+        node = state.nodes[value.index()]
+        if node.props.plugin_name() == "merge":
+            _move_children(mi, state, node.props, by)
+        elif node.type.name in _PLACED and node.props.plugin_name() != "shapegroup":  # its instances are moved
+            _move(mi, node.props, by)
 
 
 def _move(mi: Any, properties: Any, by: NDArray) -> None:
     names = set(properties)
     shift = mi.ScalarAffineTransform4d().translate(by.tolist())
+    if properties.plugin_name() in _DISTANT:
+        return
     if "to_world" in names:
         properties["to_world"] = shift @ properties["to_world"]
     elif moved := [name for name in _PLACES if name in names]:
         for name in moved:
             properties[name] = (np.array(properties[name], dtype=np.float64) + by).tolist()
-    elif properties.plugin_name() not in ("envmap", "constant", "sunsky"):
+    else:
         properties["to_world"] = shift
 
 

@@ -196,7 +196,7 @@ def _of_mesh(mi: Any, shape: Any) -> _Surface:
 def _faceted(surface: _Surface) -> _Surface:
     """A mesh that is drawn flat (``face_normals``): faces share vertices only where they lie in one plane."""
     places = np.unique(surface.positions, axis=0, return_inverse=True)[1].ravel()
-    vertices, faces = split_at_creases(surface.positions, surface.faces, places, _PLANE)
+    vertices, faces, _ = split_at_creases(surface.positions, surface.faces, places, _PLANE)
     positions = surface.positions[vertices]
     uv = None if surface.uv is None else surface.uv[vertices]
     return _Surface(positions, angle_weighted_normals(positions, faces), faces, uv)

@@ -79,19 +79,35 @@ class Surroundings:
         See `RayOrigins`.
     """
 
+    # Of each face at its three corners: angles (F, 3), unit vectors that halve them (F, 3, 3), and the shorter of the
+    # two edges there (F, 3).
+    _angles: NDArray[np.float32]
+    _inward: NDArray[np.float32]
+    _shorter: NDArray[np.float32]
+
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.positions, self.normals = scene.traced_positions, scene.receivers.normals
         self.heights = scene.ray_heights
         self._faces = scene.mesh.faces
         corner = self.positions[self._faces]
-        face_normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        length = np.linalg.norm(face_normals, axis=1, keepdims=True)
-        self._face_normals = np.divide(face_normals, length, out=np.zeros_like(face_normals), where=length > 0.0)
+        edges = np.roll(corner, -1, axis=1) - corner
+        face_normals = np.cross(edges[:, 0], edges[:, 1])
+        area = np.linalg.norm(face_normals, axis=1, keepdims=True)
+        self._face_normals = np.divide(face_normals, area, out=np.zeros_like(face_normals), where=area > 0.0)
+        # Kept, as they are asked for again and again; float32, as there are three for each face.
+        before = -np.roll(edges, 1, axis=1)
+        self._angles = np.arctan2(area, np.einsum("fkc,fkc->fk", edges, before)).astype(np.float32)
+        length = np.maximum(np.linalg.norm(edges, axis=2), 1e-300)
+        length_before = np.roll(length, 1, axis=1)
+        self._shorter = np.minimum(length, length_before).astype(np.float32)
+        inward = edges / length[:, :, None] + before / length_before[:, :, None]
+        inward /= np.maximum(np.linalg.norm(inward, axis=2, keepdims=True), 1e-300)
+        self._inward = inward.astype(np.float32)
         count = len(self.positions)
         self.angle, mean = np.zeros(count), np.zeros((count, 3))
         for k in range(3):
-            vertex, angle = self._faces[:, k], self._angles(k)
+            vertex, angle = self._faces[:, k], self._angles[:, k]
             self.angle += np.bincount(vertex, angle, minlength=count)
             for axis in range(3):
                 mean[:, axis] += np.bincount(vertex, angle * self._face_normals[:, axis], minlength=count)
@@ -106,27 +122,12 @@ class Surroundings:
         in_plane = np.abs(np.einsum("ij,ij->i", self.up, self.normals)) < _IN_PLANE
         self.sheets = agree & in_plane & scene.receivers.active
 
-    def _angles(self, k: int) -> NDArray[np.float64]:
-        """(F,) angles at corner k."""
-        p, f = self.positions, self._faces
-        u, v = (p[f[:, (k + step) % 3]] - p[f[:, k]] for step in (1, 2))
-        return np.asarray(np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.einsum("ij,ij->i", u, v)))
-
     def _upward(self, k: int) -> NDArray[np.float64]:
         """(F, 3) normals of the faces on the side that light is received on at corner k."""
         vertex = self._faces[:, k]
         side = self.side[vertex]
         toward = np.einsum("ij,ij->i", self._face_normals, self.normals[vertex])
         return np.where(side == 0.0, np.where(toward < 0.0, -1.0, 1.0), side)[:, None] * self._face_normals
-
-    def _inward(self, k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(F, 3) unit vectors that halve the angle at corner k, and the shorter of its edges, (F,)."""
-        p, f = self.positions, self._faces
-        edges = [p[f[:, (k + step) % 3]] - p[f[:, k]] for step in (1, 2)]
-        lengths = [np.linalg.norm(edge, axis=1, keepdims=True) for edge in edges]
-        inward = sum(edge / np.maximum(length, 1e-300) for edge, length in zip(edges, lengths, strict=True))
-        inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-300)
-        return inward, np.minimum(*lengths)[:, 0]
 
     def above(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(V, 3) points above the vertices, and the points of the surface below them.
@@ -139,7 +140,7 @@ class Surroundings:
         middle, widest, lean = np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3))
         lowest = np.ones(count)
         for k in range(3):
-            vertex, angle, (inward, _) = self._faces[:, k], self._angles(k), self._inward(k)
+            vertex, angle, inward = self._faces[:, k], self._angles[:, k], self._inward[:, k]
             for axis in range(3):
                 middle[:, axis] += np.bincount(vertex, angle * inward[:, axis], minlength=count)
             order = np.argsort(angle, kind="stable")  # the widest is written last
@@ -153,13 +154,13 @@ class Surroundings:
         height = self.heights / np.maximum(lowest, _STEEPEST)
         return feet + height[:, None] * self.up, feet
 
-    def beside(self, wanted: NDArray[np.bool_] | None = None) -> Iterator[tuple[NDArray[np.float64], PointsAbove]]:
+    def beside(self, wanted: NDArray[np.bool_] | None = None) -> Iterator[tuple[NDArray[np.float32], PointsAbove]]:
         """Points above the faces of vertices (all, or the ones ``wanted``), with the angles of the faces there."""
         for k in range(3):
             vertex = self._faces[:, k]
             rows = slice(None) if wanted is None else np.flatnonzero(wanted[vertex])
-            vertex, angle, upward = vertex[rows], self._angles(k)[rows], self._upward(k)[rows]
-            inward, shorter = (values[rows] for values in self._inward(k))
+            vertex, upward = vertex[rows], self._upward(k)[rows]
+            angle, inward, shorter = (values[rows, k] for values in (self._angles, self._inward, self._shorter))
             distance = np.minimum(_BESIDE * self.heights[vertex], _PART_OF_FACE * shorter)
             feet = self.positions[vertex] + distance[:, None] * inward
             yield angle, PointsAbove(vertex, feet, feet + self.heights[vertex][:, None] * upward)

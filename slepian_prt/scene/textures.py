@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.parts import Texture, Wrap
@@ -17,8 +21,11 @@ _CODES = np.arange(256) / 255.0
 _FROM_SRGB = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)
 _LINEAR = _CODES.astype(np.float32)
 
-# Rows that are decoded from 8 bits at a time.
-_ROWS = 256
+# Texels that are decoded from 8 bits at a time.
+_TEXELS = 1 << 22
+
+# Pillow's modes of more than 8 bits, and the number that stands for white; 32 bits hold what PNG and PNM have, 16.
+_WHITE = {"I;16": 65535.0, "I;16L": 65535.0, "I;16B": 65535.0, "I": 65535.0, "F": 1.0}
 
 
 class FilteredTexture:
@@ -41,21 +48,21 @@ class FilteredTexture:
     def __init__(self, texture: Texture, *, is_srgb: bool, finest: int = 0) -> None:
         self._wrap = texture.wrap
         codes = _decode(texture)
-        self.height, self.width = codes.shape[:2]
         table = _FROM_SRGB if is_srgb else _LINEAR
-        level = _reduced(codes, table, 2 ** min(finest, int(math.log2(max(1, min(codes.shape[:2]))))))
+        height, width = (_shrunk(size, finest) for size in codes.shape[:2])
+        level = _first_level(codes, table, height, width)
         self._levels = [level]
         while max(level.shape[:2]) > 1:
-            level = _halved(level)
+            height, width = (_shrunk(size, 1) for size in level.shape[:2])
+            level = _averaged(level, _area_weights(level.shape[0], height), _area_weights(level.shape[1], width))
             self._levels.append(level)
-        self._finest = finest
 
-    def mean(self, uv: NDArray, texels: NDArray) -> NDArray[np.float32]:
-        """(n, 3) means about points (n, 2) over patches of so many texels of the image, (n,)."""
-        # Half the logarithm of an area is that of a length.
-        level = 0.5 * np.log2(np.maximum(texels, 1.0)) - self._finest
-        level = np.clip(level, 0.0, len(self._levels) - 1.0)
-        below = np.minimum(level.astype(np.int64), len(self._levels) - 1)
+    def mean(self, uv: NDArray, areas: NDArray) -> NDArray[np.float32]:
+        """(n, 3) means about points (n, 2) over patches of such parts of the image, (n,)."""
+        texels = [math.log2(level.shape[0] * level.shape[1]) for level in self._levels]
+        wanted = -np.log2(np.clip(areas, 2.0**-60, 1.0))
+        level = np.interp(wanted, texels[::-1], np.arange(len(texels))[::-1])
+        below = level.astype(np.int64)
         part = (level - below)[:, None].astype(np.float32)
         result = np.zeros((len(uv), 3), dtype=np.float32)
         for number in range(len(self._levels)):
@@ -93,56 +100,77 @@ def image_size(texture: Texture) -> tuple[int, int]:
         return int(image.height), int(image.width)
 
 
-def _opened(texture: Texture) -> Any:
-    from PIL import Image
+@contextmanager
+def _opened(texture: Texture) -> Iterator[Any]:
+    """The image; whatever goes wrong while it is open is one line."""
+    from PIL import Image, UnidentifiedImageError
 
     source = texture.source if isinstance(texture.source, Path) else io.BytesIO(texture.source)
     if isinstance(source, Path) and not source.is_file():
         raise UserError(f"texture {texture.name}: there is no file {source}")
     try:
-        return Image.open(source)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow warns of large images and of odd ones that it reads well
+            with Image.open(source) as image:
+                yield image
+    except Image.DecompressionBombError:
+        most = 2 * (Image.MAX_IMAGE_PIXELS or 0)
+        raise UserError(f"texture {texture.name}: has more than {most} texels, the most that is read") from None
+    except UnidentifiedImageError:  # its message tells an address in memory
+        raise UserError(f"texture {texture.name}: is no image of a kind that is known, or damaged") from None
     except Exception as error:  # Pillow raises much more than OSError on damaged files
-        raise _unreadable(texture, error) from None
-
-
-def _unreadable(texture: Texture, error: Exception) -> UserError:
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return UserError(f"texture {texture.name}: cannot be read as an image ({reason})")
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"texture {texture.name}: cannot be read as an image ({reason})") from None
 
 
 def _decode(texture: Texture) -> NDArray[np.uint8]:
     """(H, W, 3) as it is encoded."""
     with _opened(texture) as image:
-        try:
-            if image.mode in ("I;16", "I;16B", "I;16L", "I", "F"):
-                codes = np.asarray(image, dtype=np.float64)
-                gray = np.clip(codes / (65535.0 if codes.max(initial=0.0) > 255.0 else 255.0), 0.0, 1.0)
-                return np.repeat((255.0 * gray + 0.5).astype(np.uint8)[:, :, None], 3, axis=2)
+        if image.mode not in _WHITE:
             return np.asarray(image.convert("RGB"))
-        except Exception as error:
-            raise _unreadable(texture, error) from None
+        values = np.nan_to_num(np.asarray(image, dtype=np.float32)) / _WHITE[image.mode]
+        gray = (255.0 * np.clip(values, 0.0, 1.0) + 0.5).astype(np.uint8)
+        return np.repeat(gray[:, :, None], 3, axis=2)
 
 
-def _reduced(codes: NDArray[np.uint8], table: NDArray, factor: int) -> NDArray[np.float32]:
-    """Linear values, means over squares of ``factor`` texels; what does not fill a square at the ends is left out."""
-    height, width = codes.shape[0] // factor, codes.shape[1] // factor
+def _shrunk(size: int, levels: int) -> int:
+    """How many texels are left of so many; never none."""
+    return -(-size // 2 ** min(levels, 60))
+
+
+def _area_weights(size: int, wanted: int) -> csr_array:
+    """(wanted, size) means of texels over as many equal pieces of the image as are wanted, in parts of texels."""
+    edges = np.arange(wanted + 1) * (size / wanted)
+    first = np.minimum(edges[:-1].astype(np.int64), size - 1)
+    last = np.minimum(np.ceil(edges[1:]).astype(np.int64), size)
+    counts = last - first
+    row = np.repeat(np.arange(wanted), counts)
+    column = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + first[row]
+    covered = np.minimum(column + 1, edges[row + 1]) - np.maximum(column, edges[row])
+    weights = (np.maximum(covered, 0.0) * (wanted / size)).astype(np.float32)
+    return csr_array((weights, (row, column)), shape=(wanted, size))
+
+
+def _averaged(level: NDArray[np.float32], rows: csr_array, columns: csr_array) -> NDArray[np.float32]:
+    """(H, W, 3) of texels (h, w, 3): means by weights (H, h) and (W, w)."""
+    tall, wide = rows.shape[0], columns.shape[0]
+    across = (rows @ level.reshape(len(level), -1)).reshape(tall, -1, 3)
+    down = columns @ across.transpose(1, 0, 2).reshape(across.shape[1], -1)
+    return np.ascontiguousarray(down.reshape(wide, tall, 3).transpose(1, 0, 2), dtype=np.float32)
+
+
+def _first_level(codes: NDArray[np.uint8], table: NDArray, height: int, width: int) -> NDArray[np.float32]:
+    """Linear values, means over equal pieces of the image; some rows at a time, to bound memory."""
+    if (height, width) == codes.shape[:2]:
+        return np.asarray(table[codes])
+    rows, columns = _area_weights(codes.shape[0], height), _area_weights(codes.shape[1], width)
+    each = max(1, int(_TEXELS * height / codes.size))
     result = np.empty((height, width, 3), dtype=np.float32)
-    for begin in range(0, height, _ROWS):
-        rows = codes[begin * factor : min(begin + _ROWS, height) * factor, : width * factor]
-        squares = table[rows].reshape(-1, factor, width, factor, 3)
-        result[begin : begin + len(squares)] = squares.mean(axis=(1, 3))
+    for begin in range(0, height, each):
+        block = rows[begin : begin + each]
+        low, high = int(block.indices.min()), int(block.indices.max()) + 1
+        result[begin : begin + each] = _averaged(table[codes[low:high]], block[:, low:high], columns)
     return result
-
-
-def _halved(level: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Half as many rows and columns, at least one; of an odd number the last is counted twice."""
-    for axis in (0, 1):
-        count = level.shape[axis]
-        if count > 1:
-            if count % 2:
-                level = np.concatenate([level, level.take([-1], axis=axis)], axis=axis)
-            level = 0.5 * (level.take(range(0, count, 2), axis=axis) + level.take(range(1, count + 1, 2), axis=axis))
-    return level
 
 
 def _wrapped(index: NDArray[np.int64], size: int, wrap: Wrap) -> NDArray[np.int64]:

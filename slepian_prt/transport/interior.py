@@ -44,18 +44,20 @@ class InteriorVertices(NamedTuple):
 
 
 def find_interior(scene: Scene, dark: NDArray) -> InteriorVertices:
-    """Which of the vertices ``dark``, that see nothing of the sky, are inside something, and what fills them."""
+    """Which of the vertices ``dark``, that see nothing of the sky, are inside something, and what fills them.
+
+    Hidden vertices (`Scene.is_hidden`) are dark to transport; where nothing is, no ray is traced.
+    """
     count = len(scene.receivers)
-    inside = np.zeros(count, dtype=bool)
     if dark.size == 0:
-        pairs = np.zeros((0, 2), dtype=np.int64)  # without the geometry, which convex scenes do not need
-    else:
-        pierced, dark = scene.pierced, dark[~scene.is_hidden[dark]]
-        inside[dark[sees_backs(scene, dark)]] = True
-        pairs = scene.receivers.neighbours
-        pairs = np.concatenate([pairs, pairs[:, ::-1]])
-        pairs = np.concatenate([pairs[inside[pairs[:, 0]]], pierced])
-        inside |= scene.is_hidden
+        return InteriorVertices(np.zeros(0, dtype=np.int64), csr_array((0, count), dtype=np.float32))
+    inside = np.zeros(count, dtype=bool)
+    dark = dark[~scene.is_hidden[dark]]
+    inside[dark[sees_backs(scene, dark)]] = True
+    pairs = scene.receivers.neighbours
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    pairs = np.concatenate([pairs[inside[pairs[:, 0]]], scene.pierced])
+    inside |= scene.is_hidden
     near, far = pairs[~inside[pairs[:, 1]]].T
     vertices, row = np.unique(near, return_inverse=True)
     weights = csr_array((np.ones(row.size, dtype=np.float32), (row, far)), shape=(vertices.size, count))

@@ -36,7 +36,12 @@ def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
         heights[block] = reach - np.einsum("ij,ij->i", normals[block], positions[block])
     # A vertex normal of a convex mesh is the mean over its faces; half the height of a ray's start is
     # far below what a ray sees.
-    return scene.receivers.active & (heights > 0.5 * scene.ray_heights)
+    shadowed = scene.receivers.active & (heights > 0.5 * scene.ray_heights)
+    if shadowed.any():
+        # What a vertex stands on lies in its tangent plane, and above it for rays that start beside a contact.
+        below = np.einsum("ij,ij->i", normals, scene.ray_origins.front - positions)
+        shadowed |= scene.receivers.active & (heights - below > 0.5 * scene.ray_heights)
+    return shadowed
 
 
 def _hull_corners(scene: Scene) -> NDArray[np.float64]:

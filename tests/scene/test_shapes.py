@@ -119,7 +119,7 @@ def test_shared_and_layered_materials(tmp_path):
         assert [part.name for part in scene.parts] == ["a", "b"]
         np.testing.assert_allclose(scene.mesh.albedo - np.float32([0.2, 0.4, 0.6]), 0.0, atol=1e-6)
         assert scene.two_sided == (True, True)
-        assert sum("glossy reflection" in note for note in scene.not_simulated) == 2
+        assert sum("glossy reflection" in note.name for note in scene.not_simulated) == 2
 
 
 def test_mesh_attributes_are_reflectances_too(tmp_path):
