@@ -1,0 +1,151 @@
+"""Read other people's models with our readers and with independent ones, and say where they differ.
+
+    scripts/compare_readers FOLDER … [--every N] [--albedo] [--verbose]
+
+Every ply, obj, stl, off, glb and gltf file in the folders is read by `slepian_prt.scene.mesh_files.read_mesh` and by
+each other reader that is there, all in processes of their own. Compared are the number of triangles that have an area,
+that area, and the box about them. Of each file it says one of
+
+    same       as another reader, and which
+    differs    from all others, and in what
+    refused    and our line; with what the others make of it
+    alone      read by ours, and by no other
+    fault      a traceback, something printed, a process that died or hangs
+
+and then the counts of each folder and format. With ``--every N``, `slepian-prt precompute` is run on all refused files
+and on each Nth of the others: it must end with 0, or with 2 and one line. With ``--albedo``, the mean albedo of glTF
+files with textures is compared with one of 200 000 points, looked up in float64. It exits with 1 if a file differs or is
+at fault.
+
+Independent readers, of which any may be missing:
+
+    trimesh    which is installed with this package
+    assimp     pip install assimp-py
+    three      npm install --prefix downloads three draco3d
+
+Collections that were compared, to be cloned beside: github.com/mikedh/trimesh (models), assimp/assimp (test),
+libigl/libigl-tutorial-data, alecjacobson/common-3d-test-models, google/draco (testdata), CesiumGS/obj2gltf,
+CesiumGS/gltf-pipeline, mosra/magnum-plugins, playcanvas/engine, donmccurdy/glTF-Transform, KhronosGroup/glTF-Validator,
+KhronosGroup/glTF-Sample-Assets, syoyo/tinyobjloader, syoyo/tinygltf.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from readers.measures import differences
+from readers.others import installed
+from readers.workers import Answer, Worker, serve
+
+SUFFIXES = (".ply", ".obj", ".stl", ".off", ".glb", ".gltf")
+NODE_MODULES = Path(__file__).parent.parent / "downloads" / "node_modules"
+VERDICTS = ("same", "refused", "alone", "differs", "fault")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the table."""
+
+    path: Path
+    verdict: str
+    words: str
+
+
+def judge(path: Path, ours: Answer, others: dict[str, Answer]) -> Row:
+    """The verdict on a file."""
+    if ours.fault:
+        return Row(path, "fault", ours.fault)
+    read = {name: answer.measures for name, answer in others.items() if answer.measures and answer.measures.most}
+    if ours.measures is None:
+        line = ours.refusal.replace(f"{path}: ", "")
+        there = ", ".join(f"{name} reads {m.most} triangles" for name, m in read.items())
+        return Row(path, "refused", line + (f" [{there}]" if there else " [others too]"))
+    found = {name: differences(ours.measures, theirs) for name, theirs in read.items()}
+    same = [name for name, what in found.items() if not what]
+    other = "; ".join(f"{name}: {what}" for name, what in found.items() if what)
+    if same:
+        return Row(path, "same", f"as {', '.join(same)}" + (f" (but {other})" if other else ""))
+    if found:
+        return Row(path, "differs", other)
+    return Row(path, "alone", "; ".join(f"{name}: {answer.refusal or answer.fault}" for name, answer in others.items()))
+
+
+def find_files(roots: list[Path]) -> list[tuple[Path, Path]]:
+    """Mesh files with the root that each is below."""
+    found = []
+    for root in roots:
+        paths = [root] if root.is_file() else sorted(path for path in root.rglob("*") if path.is_file())
+        found += [(path, root) for path in paths if path.suffix.lower() in SUFFIXES]
+    return found
+
+
+def precompute(path: Path, seconds: float) -> str:
+    """Run the command on a file; what is wrong with how it ends, or nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "slepian_prt", "precompute", str(path), "-o", f"{folder}/out.prt"]
+        command += ["--bandlimit", "2", "--effects", "direct", "--samples", "16"]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=seconds)
+        except subprocess.TimeoutExpired:
+            return f"precompute hangs ({seconds:g} s)"
+    lines = done.stderr.strip().splitlines()
+    if done.returncode not in (0, 2):
+        return f"precompute ends with {done.returncode}: {(lines or [''])[-1][:200]}"
+    if any("Warning" in line or "Traceback" in line for line in lines):
+        return f"precompute prints {lines[-1][:200]}"
+    if done.returncode == 2 and len(lines) != 1:
+        return f"precompute refuses in {len(lines)} lines: {lines[:1]}"
+    return ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", type=Path, nargs="*")
+    parser.add_argument("--every", type=int, default=0, help="run precompute on each so manieth file, and all refused")
+    parser.add_argument("--albedo", action="store_true", help="compare the mean albedo of glTF files with textures")
+    parser.add_argument("--timeout", type=float, default=120.0, help="seconds for a file")
+    parser.add_argument("--memory", type=float, default=8.0, help="gigabytes for a reader")
+    parser.add_argument("--verbose", action="store_true", help="show files that are the same, too")
+    parser.add_argument("--serve", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.serve:
+        serve(options.serve)
+        return 0
+    names = ["ours", *installed(), *(["three"] if (NODE_MODULES / "three").is_dir() else [])]
+    workers = [Worker(name, options.timeout, options.memory, NODE_MODULES) for name in names]
+    print(f"Readers: {', '.join(names)}\n")
+    counts: Counter[tuple[str, str, str]] = Counter()
+    for number, (path, root) in enumerate(find_files(options.folders)):
+        start = time.perf_counter()
+        ours = workers[0].ask(path)
+        seconds = time.perf_counter() - start
+        row = judge(path, ours, {worker.name: worker.ask(path) for worker in workers[1:]})
+        rows = [row]
+        if options.every and row.verdict != "fault" and (row.verdict == "refused" or number % options.every == 0):
+            wrong = precompute(path, options.timeout)
+            rows += [Row(path, "fault", wrong)] if wrong else []
+        if seconds > 0.5 * options.timeout:
+            rows.append(Row(path, "fault", f"takes {seconds:.0f} s"))
+        shown = path.relative_to(root.parent)
+        for row in rows:
+            if options.verbose or row.verdict != "same":
+                print(f"{row.verdict:8} {shown}: {row.words}", flush=True)
+        counts[root.name, path.suffix.lower(), rows[-1].verdict] += 1
+    for worker in workers:
+        worker.stop()
+    print("\n" + "".join(f"{word:>9}" for word in VERDICTS))
+    for root_name, suffix in sorted({key[:2] for key in counts}):
+        row_counts = (counts[root_name, suffix, verdict] for verdict in VERDICTS)
+        print("".join(f"{count:9}" for count in row_counts), f" {root_name} {suffix}")
+    return int(any(key[2] in ("differs", "fault") for key in counts))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,55 @@
+"""Ours and other readers of meshes: from a file to its triangles."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def read_ours(path: Path) -> NDArray:
+    """(T, 3, 3) triangles by `read_mesh`."""
+    from slepian_prt.scene.mesh_files import read_mesh
+
+    mesh = read_mesh(path)
+    return mesh.positions[mesh.faces]
+
+
+def read_trimesh(path: Path) -> NDArray:
+    """(T, 3, 3) triangles by trimesh."""
+    import trimesh
+
+    loaded = trimesh.load_scene(path, process=False, skip_materials=True)
+    meshes = [mesh for mesh in loaded.dump() if isinstance(mesh, trimesh.Trimesh)]
+    return np.concatenate([np.empty((0, 3, 3)), *(mesh.vertices[mesh.faces] for mesh in meshes)])
+
+
+def read_assimp(path: Path) -> NDArray:
+    """(T, 3, 3) triangles by assimp."""
+    assimp = importlib.import_module("assimp_py")
+    flags = assimp.Process_Triangulate | assimp.Process_PreTransformVertices | assimp.Process_SortByPType
+    scene = assimp.import_file(str(path), flags)
+    found = [np.empty((0, 3, 3))]
+    for mesh in scene.meshes:
+        if mesh.num_faces and mesh.num_indices == 3 * mesh.num_faces:
+            vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+            found.append(vertices[np.asarray(mesh.indices).reshape(-1, 3)])
+    return np.concatenate(found)
+
+
+PYTHON_READERS: dict[str, Callable[[Path], NDArray]] = {
+    "ours": read_ours,
+    "trimesh": read_trimesh,
+    "assimp": read_assimp,
+}
+
+_MODULES = {"trimesh": "trimesh", "assimp": "assimp_py"}
+
+
+def installed() -> list[str]:
+    """Names of the other readers in Python that are installed."""
+    return [name for name, module in _MODULES.items() if importlib.util.find_spec(module)]
