@@ -6,7 +6,7 @@ Every ply, obj, stl, off, glb and gltf file in the folders is read by `slepian_p
 each other reader that is there, all in processes of their own. Compared are the number of triangles that have an area,
 that area, and the box about them. Of each file it says one of
 
-    same       as another reader, and which
+    same       as another reader, and which; also where it agrees with ours once polygons are cut into fans as it does
     differs    from all others, and in what
     refused    and our line; with what the others make of it
     alone      read by ours, and by no other
@@ -37,6 +37,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,7 +59,7 @@ class Row:
     words: str
 
 
-def judge(path: Path, ours: Answer, others: dict[str, Answer]) -> Row:
+def judge(path: Path, ours: Answer, others: dict[str, Answer], cut_as_fans: Callable[[Path], Answer]) -> Row:
     """The verdict on a file."""
     if ours.fault:
         return Row(path, "fault", ours.fault)
@@ -72,6 +73,10 @@ def judge(path: Path, ours: Answer, others: dict[str, Answer]) -> Row:
     other = "; ".join(f"{name}: {what}" for name, what in found.items() if what)
     if same:
         return Row(path, "same", f"as {', '.join(same)}" + (f" (but {other})" if other else ""))
+    fans = cut_as_fans(path).measures if found else None
+    same = [name for name, theirs in read.items() if fans and not differences(fans, theirs)]
+    if same:
+        return Row(path, "same", f"as {', '.join(same)} with polygons as fans ({other})")
     if found:
         return Row(path, "differs", other)
     return Row(path, "alone", "; ".join(f"{name}: {answer.refusal or answer.fault}" for name, answer in others.items()))
@@ -120,13 +125,14 @@ def main() -> int:
         return 0
     names = ["ours", *installed(), *(["three"] if (NODE_MODULES / "three").is_dir() else [])]
     workers = [Worker(name, options.timeout, options.memory, NODE_MODULES) for name in names]
+    fans = Worker("fans", options.timeout, options.memory)
     print(f"Readers: {', '.join(names)}\n")
     counts: Counter[tuple[str, str, str]] = Counter()
     for number, (path, root) in enumerate(find_files(options.folders)):
         start = time.perf_counter()
         ours = workers[0].ask(path)
         seconds = time.perf_counter() - start
-        row = judge(path, ours, {worker.name: worker.ask(path) for worker in workers[1:]})
+        row = judge(path, ours, {worker.name: worker.ask(path) for worker in workers[1:]}, fans.ask)
         rows = [row]
         if options.every and row.verdict != "fault" and (row.verdict == "refused" or number % options.every == 0):
             wrong = precompute(path, options.timeout)
@@ -138,7 +144,7 @@ def main() -> int:
             if options.verbose or row.verdict != "same":
                 print(f"{row.verdict:8} {shown}: {row.words}", flush=True)
         counts[root.name, path.suffix.lower(), rows[-1].verdict] += 1
-    for worker in workers:
+    for worker in [*workers, fans]:
         worker.stop()
     print("\n" + "".join(f"{word:>9}" for word in VERDICTS))
     for root_name, suffix in sorted({key[:2] for key in counts}):

@@ -44,6 +44,7 @@ class Measures:
 def measure(triangles: NDArray) -> Measures:
     """Measures of triangles (T, 3, 3)."""
     corners = np.asarray(triangles, dtype=np.float64)
+    corners = corners[np.isfinite(corners).all(axis=(1, 2))]
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.linalg.norm(sides, axis=2)
     areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)

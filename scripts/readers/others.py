@@ -19,6 +19,25 @@ def read_ours(path: Path) -> NDArray:
     return mesh.positions[mesh.faces]
 
 
+def read_fans(path: Path) -> NDArray:
+    """(T, 3, 3) ours, but polygons cut as most readers cut them, concave or not: around their first corner."""
+    from slepian_prt.scene.formats import assembly
+
+    def cut(positions: NDArray, sizes: NDArray, corners: NDArray) -> tuple[NDArray, NDArray]:
+        counts = np.maximum(sizes - 2, 0)
+        owners = np.repeat(np.arange(len(sizes)), counts)
+        starts = (np.cumsum(sizes) - sizes)[owners]
+        second = starts + 1 + np.arange(len(owners)) - (np.cumsum(counts) - counts)[owners]
+        return np.stack([starts, second, second + 1], axis=1), owners
+
+    kept = assembly.triangulate
+    assembly.triangulate = cut
+    try:
+        return read_ours(path)
+    finally:
+        assembly.triangulate = kept
+
+
 def read_trimesh(path: Path) -> NDArray:
     """(T, 3, 3) triangles by trimesh."""
     import trimesh
@@ -43,6 +62,7 @@ def read_assimp(path: Path) -> NDArray:
 
 PYTHON_READERS: dict[str, Callable[[Path], NDArray]] = {
     "ours": read_ours,
+    "fans": read_fans,
     "trimesh": read_trimesh,
     "assimp": read_assimp,
 }

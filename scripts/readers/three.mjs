@@ -88,7 +88,11 @@ async function parse(path) {
     const buffer = data.buffer.slice(data.byteOffset, data.byteOffset + data.length);
     const kind = extname(path).toLowerCase();
     if (kind === '.obj') return new OBJLoader().parse(data.toString());
-    if (kind === '.ply') return new THREE.Mesh(new PLYLoader().parse(buffer));
+    if (kind === '.ply') {
+        const geometry = new PLYLoader().parse(buffer);
+        if (!geometry.index) throw new Error('no faces'); // it would make triangles of a point cloud
+        return new THREE.Mesh(geometry);
+    }
     if (kind === '.stl') return new THREE.Mesh(new STLLoader().parse(buffer));
     const loader = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
     if (dracoLoader) loader.setDRACOLoader(dracoLoader);

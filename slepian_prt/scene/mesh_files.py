@@ -65,7 +65,8 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     file = _READERS[suffix](path)
     for note in file.notes:
         log.info("%s: %s", path, note)
-    return _join(file, path, crease_angle)
+    with np.errstate(all="ignore"):  # numbers that are not finite, or leave the range of floats, are refused by name
+        return _join(file, path, crease_angle)
 
 
 def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:

@@ -52,6 +52,7 @@ def read_obj(path: Path) -> MeshFile:
     if not len(said.positions):
         raise UserError(f"{path}: holds no mesh that can be read; check that it is a .obj file")
     notes = _describe_left_out(kinds, free)
+    notes += [f"its faces name {names}, and it has none" for names in said.dangling]
     materials, numbers = _read_materials(path, said, notes)
     vertices, corners = _split_at_normals(said) if np.any(said.corners[:, 2] >= 0) else _join_positions(said)
     polygons = Polygons(said.sizes, corners, None, numbers)
