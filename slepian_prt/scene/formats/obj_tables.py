@@ -239,6 +239,8 @@ def _resolve(
         line = int(np.flatnonzero(chosen)[np.searchsorted(np.cumsum(sizes), bad, side="right")])
         if written[bad] == 0:
             raise source.refuse(line, "a face names vertex 0, and OBJ files count from 1")
-        there = "are not so many before it" if written[bad] < 0 else f"are only {count} in the file" if count else "is none"
+        there = f"are only {count} in the file" if count else "is none"
+        if written[bad] < 0:
+            there = "are not so many before it"
         raise source.refuse(line, f"a face names {name} {written[bad]}, and there {there}")
     return tuple(dangling)

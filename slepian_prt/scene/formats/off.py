@@ -21,8 +21,8 @@ _KEYWORD = re.compile(rb"\s*(?P<ST>ST)?(?P<C>C)?(?P<N>N)?(?P<four>4)?(?P<n>n)?OF
 def read_off(path: Path) -> MeshFile:
     """Read an OFF file with the normals (N) and colours (C) of its vertices.
 
-    A line holds one vertex or one face. Without colours, which only the ends of lines tell apart, rows may also be spread
-    over lines in any way.
+    A line holds one vertex or one face. Without colours, which only the ends of lines tell apart, they may be spread
+    over lines in any other way.
 
     Colours of integers are display values of 8 bits (sRGB), and those with a decimal point are linear. Colours of
     faces are left out, and so are texture coordinates (ST), as OFF names no texture.
