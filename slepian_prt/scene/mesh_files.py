@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -78,7 +79,9 @@ def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
     left_out: tuple[str, ...] = ()
     if known:
         textures: Textures = {}
-        values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's, on palettes and sizes of images that it reads all the same
+            values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
         albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic)
     counts = [len(part.positions) for part in parts]
     starts = np.cumsum([0, *counts[:-1]])
