@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -66,8 +65,7 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     file = _READERS[suffix](path)
     for note in file.notes:
         log.info("%s: %s", path, note)
-    with np.errstate(all="ignore"):  # numbers that are not finite, or leave the range of floats, are refused by name
-        return _join(file, path, crease_angle)
+    return _join(file, path, crease_angle)
 
 
 def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
@@ -79,9 +77,7 @@ def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
     left_out: tuple[str, ...] = ()
     if known:
         textures: Textures = {}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow's, on palettes and sizes of images that it reads all the same
-            values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
+        values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
         albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic)
     counts = [len(part.positions) for part in parts]
     starts = np.cumsum([0, *counts[:-1]])
