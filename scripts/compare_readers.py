@@ -116,7 +116,7 @@ def precompute(path: Path, seconds: float) -> str:
 
 
 def albedo(path: Path) -> tuple[str, str]:
-    """A verdict on our mean albedo of a file beside an independent one, and words; none on files that are not simple."""
+    """A verdict on our mean albedo of a file beside an independent one, and words; none on one that is not simple."""
     try:
         expected = mean_albedo(path)
     except (KeyError, OSError):  # an image that is missing, or of another format

@@ -77,7 +77,7 @@ class Worker:
         printed.write_text("")
         if not line:
             died = process.poll() is not None
-            self.stop()
+            self._end()
             return Answer(fault=f"died with status {process.returncode}" if died else f"hangs ({self._seconds:g} s)")
         answer = json.loads(line)
         fault = answer.get("fault", "") or (f"prints: {said.splitlines()[-1][:200]}" if said else "")
@@ -88,9 +88,13 @@ class Worker:
         return Answer(measure(triangles), fault=fault)
 
     def stop(self) -> None:
+        self._end()
+        self._folder.cleanup()
+
+    def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
+            self._process.communicate()
             self._process = None
 
     def _start(self, printed: Path) -> subprocess.Popen[bytes]:
