@@ -170,7 +170,7 @@ def test_what_is_left_out_is_noted(tmp_path):
         "1 faces of fewer than three different corners left out",
     )
     assert_exact(file.parts[0].faces, [[0, 1, 2]], "indices")
-    assert read(tmp_path, SQUARE + "l 1 2 3\n").parts[0].faces.shape == (0, 3)
+    assert read(tmp_path, SQUARE).parts[0].faces.shape == (0, 3)
 
 
 LIBRARY = """# library
@@ -284,6 +284,8 @@ BAD = {
     "garbage": ("hello world\n", "holds no mesh"),
     "nothing": ("\n", "holds no mesh"),
     "surfaces only": (SQUARE + "surf 0 1 0 1 1 2\n", r"has free-form surfaces \(surf\) and no polygons"),
+    "lines only": (SQUARE + "l 1 2 3\n", "has points and lines and no faces"),
+    "short faces only": (SQUARE + "f 1 2\nf 3\nf 2 2 4\n", "all 3 faces of it have fewer than three different corners"),
     "index 0": (SQUARE + "f 1 2 3\nf 0 1 2\n", "line 6: a face names vertex 0, and OBJ files count from 1"),
     "beyond the end": (SQUARE + "\nf 1 2 5\n", "line 6: a face names vertex 5, and there are only 4 in the file"),
     "before the begin": ("v 0 0 0\nf -1 -1 -2\nv 1 1 1\n", "line 2: a face names vertex -2, and there are not so many"),
