@@ -26,7 +26,7 @@ Independent readers, of which any may be missing:
 Collections that were compared, to be cloned beside: github.com/mikedh/trimesh (models), assimp/assimp (test),
 libigl/libigl-tutorial-data, alecjacobson/common-3d-test-models, google/draco (testdata), CesiumGS/obj2gltf,
 CesiumGS/gltf-pipeline, mosra/magnum-plugins, playcanvas/engine, donmccurdy/glTF-Transform, KhronosGroup/glTF-Validator,
-KhronosGroup/glTF-Sample-Assets, syoyo/tinyobjloader, syoyo/tinygltf.
+KhronosGroup/glTF-Sample-Assets, KhronosGroup/glTF-Blender-IO, bevyengine/bevy, syoyo/tinyobjloader, syoyo/tinygltf.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def assemble(
     notes = list(notes)
     lost = len(polygons.sizes) - np.count_nonzero(np.diff(owners, prepend=-1))
     if lost and not len(triangles):
-        raise UserError(f"{path}: all {lost} faces of it have fewer than three different corners; export the mesh again")
+        raise UserError(f"{path}: all {lost} faces of it have fewer than three different corners; export it again")
     if lost:
         notes.append(f"{lost} faces of fewer than three different corners left out")
     faces = polygons.corners[triangles]
