@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 _STRAIGHT = 1e-6
 
 # Corners of the largest polygon that is spanned with least area, which takes their number cubed.
-_MOST_SPANNED = 200
+_MOST_SPANNED = 100
 
 
 def triangulate(
