@@ -63,9 +63,10 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     if suffix not in _READERS:
         raise UserError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(MESH_SUFFIXES)}")
     file = _READERS[suffix](path)
-    for note in file.notes:
+    mesh = _join(file, path, crease_angle)
+    for note in file.notes:  # of a file that is refused that line alone is told
         log.info("%s: %s", path, note)
-    return _join(file, path, crease_angle)
+    return mesh
 
 
 def check_crease_angle(angle: Any) -> None:

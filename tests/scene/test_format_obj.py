@@ -58,6 +58,29 @@ def test_text_in_any_encoding(tmp_path):
     assert_exact(file.parts[0].faces, TWO, "indices")
 
 
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_text_of_two_bytes_a_letter(tmp_path, encoding):
+    content = f"\ufeffmtllib a.mtl\r\nusemtl Maß\r\n{SQUARE}f 1 2 3 4\r\n".encode(encoding)
+    (tmp_path / "a.mtl").write_bytes("\ufeffnewmtl Maß\r\nKd .5 .25 0\r\n".encode(encoding))
+    (part,) = read(tmp_path, content).parts
+    assert_exact(part.positions, POSITIONS, "short decimals")
+    assert_exact(part.faces, TWO, "indices")
+    assert part.material.color == (0.5, 0.25, 0)
+
+
+@pytest.mark.parametrize("form", ["{0}//{0}", "{0}/-1/{0}", "{0}/{0}/9"])
+def test_normals_and_texture_coordinates_of_which_the_file_has_none_are_not_named(tmp_path, form):
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd a.png\n")
+    square = "f " + " ".join(form.format(k) for k in (1, 2, 3, 4))
+    file = read(tmp_path, f"mtllib a.mtl\nusemtl a\n{SQUARE}{square}\n")
+    assert_exact(file.parts[0].faces, TWO, "indices")
+    assert file.parts[0].normals is None
+    assert file.parts[0].uv is None
+    named = ["texture coordinates"] * ("//" not in form) + ["normals"]
+    expected = [f"its faces name {names}, and it has none" for names in named]
+    assert file.notes == (*expected, "1 faces of a have no texture coordinates")
+
+
 def write_randomly(rng):
     """Vertices, normals and faces of all forms in any order, and the corners as one reads them line by line."""
     lines, positions, uv, normals, corners = [], [], [], [], []
@@ -147,7 +170,7 @@ def test_what_is_left_out_is_noted(tmp_path):
         "1 faces of fewer than three different corners left out",
     )
     assert_exact(file.parts[0].faces, [[0, 1, 2]], "indices")
-    assert read(tmp_path, SQUARE + "l 1 2 3\n").parts[0].faces.shape == (0, 3)
+    assert read(tmp_path, SQUARE).parts[0].faces.shape == (0, 3)
 
 
 LIBRARY = """# library
@@ -261,10 +284,13 @@ BAD = {
     "garbage": ("hello world\n", "holds no mesh"),
     "nothing": ("\n", "holds no mesh"),
     "surfaces only": (SQUARE + "surf 0 1 0 1 1 2\n", r"has free-form surfaces \(surf\) and no polygons"),
+    "lines only": (SQUARE + "l 1 2 3\n", "has points and lines and no faces"),
+    "short faces only": (SQUARE + "f 1 2\nf 3\nf 2 2 4\n", "all 3 faces of it have fewer than three different corners"),
     "index 0": (SQUARE + "f 1 2 3\nf 0 1 2\n", "line 6: a face names vertex 0, and OBJ files count from 1"),
-    "beyond the end": (SQUARE + "\nf 1 2 5\n", "line 6: a face names vertex 5, and there are not 4 in the file"),
+    "beyond the end": (SQUARE + "\nf 1 2 5\n", "line 6: a face names vertex 5, and there are only 4 in the file"),
     "before the begin": ("v 0 0 0\nf -1 -1 -2\nv 1 1 1\n", "line 2: a face names vertex -2, and there are not so many"),
-    "no such normal": (SQUARE + "vn 0 0 1\nf 1//1 2//1 3//2\n", "line 6: a face names normal 2, .* not 1"),
+    "no such normal": (SQUARE + "vn 0 0 1\nf 1//1 2//1 3//2\n", "line 6: a face names normal 2, .* only 1"),
+    "no vertex": ("vn 0 0 1\nf 1 2 3\n", "line 2: a face names vertex 1, and there is none"),
     "no such uv": (SQUARE + "vt 0 0\nf 1/1 2/1 3/-2\n", "line 6: a face names texture coordinates -2"),
     "continued": (SQUARE + "f 1 \\\n2 3\nf 1 \\\n 2 9\n", "line 7: a face names vertex 9"),
     "a word": (SQUARE + "f 1 2 three\n", "line 5: 'three' is not a number"),

@@ -26,6 +26,9 @@ def read(tmp_path, content):
         f"OFF\r\n4 2 0\r\n{VERTICES}3 0 1 2 255 0 0\r\n3 0 2 3 0.5 0.5 0.5 1\r\n".replace("\n", "\r\n"),
         f"OFF\n4 3 0\n{VERTICES}3 0 1 2 7\n2 0 1\n3 0 2 3\n",
         f"\ufeffOFF\n4 2 0\n\t{VERTICES}3 0 1 2\n3\t0\t2\t3\n",
+        f"  OFF4 2 0\n{VERTICES}3 0 1 2\n3 0 2 3\n",
+        f"OFF\n4 2 0\n{VERTICES}3 0\n1\n2\n\n3\n0 2\n3\n",
+        f"OFF\n4 2 0\n{VERTICES}3 0 1 2 3 0 2 3\n".replace("0\n1 1", "0 1 1"),
     ],
 )
 def test_all_ways_to_write_two_triangles(tmp_path, content):
@@ -34,6 +37,13 @@ def test_all_ways_to_write_two_triangles(tmp_path, content):
     assert_exact(part.faces, [[0, 1, 2], [0, 2, 3]], "indices")
     assert part.normals is None
     assert part.colors is None
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+def test_text_of_two_bytes_a_letter(tmp_path, encoding):
+    mark = "" if encoding == "utf-16" else "\ufeff"
+    (part,) = read(tmp_path, (mark + f"OFF\n4 2 0\n{VERTICES}3 0 1 2\n3 0 2 3\n").encode(encoding)).parts
+    assert_exact(part.faces, [[0, 1, 2], [0, 2, 3]], "indices")
 
 
 def test_normals_and_colours_by_the_keyword(tmp_path):
@@ -75,6 +85,8 @@ BAD = {
     "cut off": (GOOD[:-10], "declares 4 vertices and 2 faces, and has 5 lines"),
     "cut off in a line": (GOOD[:-3], "line 8: begins with 3, which is not how many corners follow"),
     "too many lines": (GOOD + "3 0 1 3\n", "has 7 lines"),
+    "rows over lines, cut off": (GOOD.replace("3 0 2 3\n", "3 0\n2"), "declares 4 vertices and 2 faces, and has 7"),
+    "a long number over lines": (GOOD.replace("3 0 2 3", f"3 0 2 3\n{'9' * 5000}"), "has 7 lines"),
     "as many as atoms": ("OFF\n1000000000000000000 2 0\n0 0 0\n", "declares 1000000000000000000 vertices"),
     "two coordinates": (GOOD.replace("1 0 0", "1 0"), "line 4: has 2 numbers, and a vertex has 3"),
     "a longer line": (GOOD.replace("1 0 0", "1 0 0 9"), "line 4: has 4 numbers, and a vertex has 3"),

@@ -114,6 +114,18 @@ def test_ends_of_lines(tmp_path, end):
     assert_exact(read(tmp_path, content).parts[0].faces, [[0, 1, 2], [0, 2, 3]], "indices")
 
 
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_line_of_the_header_without_a_keyword_is_a_comment(tmp_path, form):
+    content = good(form).replace(b" 1.0\n", b" 1.0\nmade by hand, element by element\n\n", 1)
+    (part,) = read(tmp_path, content).parts
+    assert_exact(part.positions, SQUARE, "copies")
+
+
+def test_text_of_two_bytes_a_letter(tmp_path):
+    (part,) = read(tmp_path, good().decode().encode("utf-16")).parts
+    assert_exact(part.positions, SQUARE, "copies")
+
+
 def test_attributes_of_vertices(tmp_path):
     plan = [*XYZ, "float nx", "float ny", "float nz", "uchar red", "uchar green", "uchar blue", "uchar alpha"]
     rows = [(*p, 0.0, 0.0, 2.0, 255, 0, 51, 9) for p in SQUARE]
@@ -242,6 +254,7 @@ BAD = {
     "garbage": (b"not a mesh at all", "does not begin with 'ply'"),
     "no end of the header": (good()[:60], "has no end_header"),
     "an unknown type": (good().replace(b"double x", b"quad x"), "line 4 of its header, 'property quad x'"),
+    "an element of two words": (good().replace(b"face 2", b"face 2 2"), "line 7 of its header, 'element face 2 2'"),
     "a negative count": (good().replace(b"face 2", b"face -2"), "line 7 of its header"),
     "no format": (good().replace(b"format ascii 1.0\n", b""), "names no format"),
     "no vertices": (write([("face", [LIST], [([0, 1, 2],)])]), "no vertices with x, y and z"),
@@ -249,6 +262,8 @@ BAD = {
     "more numbers": (good() + b"3 0 1 3\n", "has 4 numbers more than its header declares"),
     "fewer vertices": (good().replace(b"vertex 4", b"vertex 3"), "has 8 numbers more than its header"),
     "a short line": (good().replace(b"1.0 0.0 0.0\n", b"1.0 0.0\n", 1), "line 11: has 2 numbers, and a vertex has 3"),
+    "a long line": (good().replace(b"3 0 1 2", b"3 0 1 2 9 1 1 1"), "line 14: has 8 numbers, and this face has 4 by"),
+    "a short list": (good().replace(b"3 0 1 2", b"3 0 1"), "line 14: has 3 numbers, and this face has 4 by"),
     "a word": (good().replace(b"1.0 1.0 0.5", b"1.0 1.0 half"), "line 12: 'half' is not a number"),
     "a vertex that is not there": (good().replace(b"3 0 2 3", b"3 0 2 4"), "face 1 names vertex 4, the mesh has 4"),
     "half a vertex": (good().replace(b"3 0 2 3", b"3 0 2 2.5"), "names vertex 2.5, which is no integer"),

@@ -54,6 +54,7 @@ GOOD = {
     "of two solids": text(CORNERS[:20]) + b"\n" + text(CORNERS[20:], b""),
     "of few lines": text(CORNERS).replace(b"\n    outer", b" outer").replace(b"\n      vertex", b" vertex"),
     "with a mark of the byte order": b"\xef\xbb\xbf" + text(CORNERS),
+    "of two bytes a letter": text(CORNERS).decode().encode("utf-16"),
 }
 
 

@@ -106,6 +106,30 @@ def test_a_bent_polygon_keeps_its_boundary(n):
     assert boundary == {(k, (k + 1) % n) for k in range(n)}
 
 
+def all_ways(i, j):
+    """Triangulations of the corners i to j of a polygon, each a list of triangles."""
+    if j - i < 2:
+        yield []
+    for k in range(i + 1, j):
+        for before in all_ways(i, k):
+            for after in all_ways(k, j):
+                yield [(i, k, j), *before, *after]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_a_bent_polygon_that_crosses_itself_in_its_plane_is_spanned_with_least_area(seed):
+    # A square of which one side goes up and back, beyond the corner at its end as one sees it.
+    polygon = np.array([[-5.0, 0, 5], [5, 0, 5], [5, 0, -5], [-5, 0, -5], [0, 5, -5]])
+    polygon += np.random.default_rng(seed).normal(scale=0.1 * (seed > 0), size=polygon.shape)
+    corners, triangles, _ = cut(turned(polygon))
+    sides = [(t[k], t[(k + 1) % 3]) for t in triangles.tolist() for k in range(3)]
+    boundary = {side for side in sides if side[::-1] not in sides}
+    assert boundary == {(k, (k + 1) % len(polygon)) for k in range(len(polygon))}
+    ways = [np.linalg.norm(area(polygon[np.array(way)]), axis=1).sum() for way in all_ways(0, len(polygon) - 1)]
+    # Sums of a few triangles of products up to 10².
+    np.testing.assert_allclose(np.linalg.norm(area(corners), axis=1).sum(), min(ways), rtol=1e-13)
+
+
 @pytest.mark.parametrize(
     "polygon",
     [

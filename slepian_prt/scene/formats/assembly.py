@@ -67,12 +67,14 @@ def assemble(
     Raises
     ------
     UserError
-        A polygon names a vertex that does not exist.
+        A polygon names a vertex that does not exist; none of some polygons has three different corners.
     """
     check_corners(path, polygons, len(vertices.positions))
     triangles, owners = triangulate(vertices.positions, polygons.sizes, polygons.corners)
     notes = list(notes)
     lost = len(polygons.sizes) - np.count_nonzero(np.diff(owners, prepend=-1))
+    if lost and not len(triangles):
+        raise UserError(f"{path}: all {lost} faces of it have fewer than three different corners; export it again")
     if lost:
         notes.append(f"{lost} faces of fewer than three different corners left out")
     faces = polygons.corners[triangles]

@@ -1,8 +1,11 @@
-"""Files that mesh files name, and names in any encoding."""
+"""Text files in any encoding, the files that they name, and names in any encoding."""
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
+
+_UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 
 
 def find_beside(path: Path, name: str) -> Path:
@@ -29,3 +32,9 @@ def decode(raw: bytes) -> str:
         return raw.decode("utf-8")
     except UnicodeDecodeError:
         return raw.decode("latin-1")
+
+
+def to_utf8(raw: bytes) -> bytes:
+    """Text in UTF-16, as Windows redirects it into files, as UTF-8; anything else as it is."""
+    encoding = _UTF16.get(raw[:2])
+    return raw if encoding is None else raw[2:].decode(encoding, errors="replace").encode()

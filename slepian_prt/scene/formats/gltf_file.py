@@ -116,7 +116,9 @@ def _check_version(root: Entry) -> None:
     asset = root.entry("asset")
     if asset is None:
         raise UserError(f"{root.path}: its JSON has no glTF version (asset.version); export it as glTF 2.0")
-    needed = asset.text("minVersion", "") or asset.text("version")
+    said = asset.values.get("version")
+    is_number = type(said) in (int, float) and said in (1, 2)  # as writers of early glTF 1.0 have it
+    needed = asset.text("minVersion", "") or (f"{said:.1f}" if is_number else asset.text("version"))
     if not re.fullmatch(r"2\.\d+", needed) or (needed != "2.0" and "minVersion" in asset.values):
         shown = needed if re.fullmatch(r"[\w.]{1,9}", needed) else repr(needed[:9])
         raise UserError(f"{root.path}: is glTF {shown}, and only glTF 2.0 is read; export it as glTF 2.0")

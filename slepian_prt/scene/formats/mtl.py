@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from slepian_prt.scene.formats.files import decode, find_beside
+from slepian_prt.scene.formats.files import decode, find_beside, to_utf8
 from slepian_prt.scene.formats.parts import Material, Texture, Wrap
 
 # Options of textures, and the numbers of their values; those of -o, -s and -t are one to three.
@@ -66,7 +66,7 @@ def read_mtl(path: Path, notes: list[str]) -> dict[str, Mapped]:
     """
     found: dict[str, _Statements] = {}
     current: _Statements | None = None
-    for line in decode(path.read_bytes()).splitlines():
+    for line in decode(to_utf8(path.read_bytes())).splitlines():
         keyword, _, rest = line.strip().lstrip("\ufeff").replace("\t", " ").partition(" ")
         keyword, rest = keyword.lower(), rest.strip()
         if keyword == "newmtl":

@@ -49,9 +49,12 @@ def read_obj(path: Path) -> MeshFile:
     free = sorted(_FREE_FORM & set(kinds))
     if not len(said.sizes) and free:
         raise UserError(f"{path}: has free-form surfaces ({', '.join(free)}) and no polygons; export it as polygons")
+    if not len(said.sizes) and kinds["p"] + kinds["l"]:
+        raise UserError(f"{path}: has points and lines and no faces; light needs surfaces, so export it as polygons")
     if not len(said.positions):
         raise UserError(f"{path}: holds no mesh that can be read; check that it is a .obj file")
     notes = _describe_left_out(kinds, free)
+    notes += [f"its faces name {names}, and it has none" for names in said.dangling]
     materials, numbers = _read_materials(path, said, notes)
     vertices, corners = _split_at_normals(said) if np.any(said.corners[:, 2] >= 0) else _join_positions(said)
     polygons = Polygons(said.sizes, corners, None, numbers)

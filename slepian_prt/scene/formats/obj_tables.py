@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.colors import decode_srgb
-from slepian_prt.scene.formats.files import decode
+from slepian_prt.scene.formats.files import decode, to_utf8
 from slepian_prt.scene.formats.text import Lines, parse_numbers, split_lines
 
 _NAMES = ("vertex", "texture coordinates", "normal")
@@ -38,6 +38,8 @@ class Statements:
         Where the polygons are among the lines of the file.
     others : tuple of (int, str, str)
         Line, keyword and the rest of every other statement but groups and comments.
+    dangling : tuple of str
+        What faces name and the file has none of: texture coordinates, normals. They count as not named.
     """
 
     positions: NDArray[np.float64]
@@ -48,6 +50,7 @@ class Statements:
     corners: NDArray[np.int64]
     lines: NDArray[np.int64]
     others: tuple[tuple[int, str, str], ...]
+    dangling: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,19 +110,19 @@ def read_statements(path: Path) -> Statements:
     uv = np.concatenate([uv, np.zeros((len(uv), 2))], axis=1)[:, :2]
     normals = _read_columns(source, is_vn, b"vn", 3)[0][:, :3]
     sizes, corners = _read_corners(source, is_f)
-    _resolve(source, is_f, sizes, corners, (is_v, is_vt, is_vn))
+    dangling = _resolve(source, is_f, sizes, corners, (is_v, is_vt, is_vn))
     silent = np.isin(a, list(b"gos")) & (b <= 32)
     rest = (lines.words > 0) & ~(is_v | is_vt | is_vn | is_f | silent | (a == ord("#")))
     others = []
     for line in np.flatnonzero(rest).tolist():
         keyword, *after = decode(lines.read(line)).split(maxsplit=1)
         others.append((line, keyword, after[0] if after else ""))
-    return Statements(positions, colors, uv, normals, sizes, corners, np.flatnonzero(is_f), tuple(others))
+    return Statements(positions, colors, uv, normals, sizes, corners, np.flatnonzero(is_f), tuple(others), dangling)
 
 
 def _split(path: Path) -> _Source:
     """Lines without comments at their ends; each character stays where it is in the file."""
-    raw = path.read_bytes()
+    raw = to_utf8(path.read_bytes())
     if b"\r" in raw:
         raw = raw.replace(b"\r\n", b" \n").replace(b"\r", b"\n")
     text = raw.replace(b"\\ \n", b"   ").replace(b"\\\n", b"  ") if b"\\" in raw else raw
@@ -211,11 +214,20 @@ def _resolve(
     sizes: NDArray[np.int64],
     corners: NDArray[np.int64],
     kinds: tuple[NDArray[np.bool_], ...],
-) -> None:
-    """Turn indices that count from 1, or back from the line of the face, into ones that count from 0, in place."""
+) -> tuple[str, ...]:
+    """Turn indices that count from 1, or back from the line of the face, into ones that count from 0, in place.
+
+    Returns what is named and of which there is none. Normals and texture coordinates were then left out of the file
+    that was exported; where only some are missing, the file is damaged.
+    """
+    dangling = []
     for k, (name, kind) in enumerate(zip(_NAMES, kinds, strict=True)):
         written = corners[:, k].copy()
         count = int(np.count_nonzero(kind))
+        if not count and k and written.any():
+            dangling.append(name if name.endswith("s") else f"{name}s")
+            corners[:, k] = -1
+            continue
         corners[:, k] -= 1
         if written.min(initial=0) < 0:
             before = np.repeat(np.cumsum(kind)[chosen], sizes)
@@ -227,5 +239,8 @@ def _resolve(
         line = int(np.flatnonzero(chosen)[np.searchsorted(np.cumsum(sizes), bad, side="right")])
         if written[bad] == 0:
             raise source.refuse(line, "a face names vertex 0, and OBJ files count from 1")
-        there = f"{count} in the file" if written[bad] > 0 else "so many before it"
-        raise source.refuse(line, f"a face names {name} {written[bad]}, and there are not {there}")
+        there = f"are only {count} in the file" if count else "is none"
+        if written[bad] < 0:
+            there = "are not so many before it"
+        raise source.refuse(line, f"a face names {name} {written[bad]}, and there {there}")
+    return tuple(dangling)

@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble
 from slepian_prt.scene.formats.colors import decode_srgb
+from slepian_prt.scene.formats.files import to_utf8
 from slepian_prt.scene.formats.parts import MeshFile
 from slepian_prt.scene.formats.text import Lines, parse_numbers, split_lines
 
-_KEYWORD = re.compile(rb"\s*(?P<ST>ST)?(?P<C>C)?(?P<N>N)?(?P<four>4)?(?P<n>n)?OFF(?P<binary>\s+BINARY)?(?=\s|\Z)")
+_KEYWORD = re.compile(rb"\s*(?P<ST>ST)?(?P<C>C)?(?P<N>N)?(?P<four>4)?(?P<n>n)?OFF(?P<binary>\s+BINARY)?(?=[\s\d]|\Z)")
 
 
 def read_off(path: Path) -> MeshFile:
-    """Read an OFF file with the normals (N) and colours (C) of its vertices; a line holds one vertex or one face.
+    """Read an OFF file with the normals (N) and colours (C) of its vertices.
+
+    A line holds one vertex or one face. Without colours, which only the ends of lines tell apart, they may be spread
+    over lines in any other way.
 
     Colours of integers are display values of 8 bits (sRGB), and those with a decimal point are linear. Colours of
     faces are left out, and so are texture coordinates (ST), as OFF names no texture.
@@ -33,7 +37,7 @@ def read_off(path: Path) -> MeshFile:
     ----------
     Geomview manual, "OFF Files".
     """
-    text = path.read_bytes()
+    text = to_utf8(path.read_bytes())
     if b"#" in text:
         text = re.sub(rb"#[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
     text = text.removeprefix(b"\xef\xbb\xbf")
@@ -50,6 +54,9 @@ def read_off(path: Path) -> MeshFile:
         )
     vertex_count, face_count = int(counts[0]), int(counts[1])
     filled = filled[1:]
+    if len(filled) != vertex_count + face_count:
+        split = _split_rows(lines, filled, vertex_count, face_count, _count_columns(keyword))
+        lines, filled = split or (lines, filled)
     if len(filled) != vertex_count + face_count:
         raise UserError(
             f"{path}: declares {vertex_count} vertices and {face_count} faces, and has {len(filled)} lines for them "
@@ -75,6 +82,32 @@ def _read_keyword(path: Path, text: bytes) -> re.Match[bytes]:
     return keyword
 
 
+def _count_columns(keyword: re.Match[bytes]) -> int:
+    """Numbers that a vertex has at least."""
+    return 3 + 3 * bool(keyword["N"]) + 3 * bool(keyword["C"]) + 2 * bool(keyword["ST"])
+
+
+def _split_rows(
+    lines: Lines, filled: NDArray[np.int64], vertices: int, faces: int, width: int
+) -> tuple[Lines, NDArray[np.int64]] | None:
+    """The rows of a file without colours, each in a line of its own; None if the numbers of it are others."""
+    words = lines.text[lines.starts[filled[0]] :].split() if filled.size else []
+    if width * vertices + faces > len(words):
+        return None
+    begins = [width * number for number in range(vertices)]
+    at = width * vertices
+    for _ in range(faces):
+        if at >= len(words) or not words[at].isdigit() or len(words[at]) > 18:
+            return None
+        begins.append(at)
+        at += 1 + int(words[at])
+    if at != len(words):
+        return None
+    rows = [b" ".join(words[begin:end]) for begin, end in zip(begins, [*begins[1:], at], strict=True)]
+    split = split_lines(b"\n".join(rows))
+    return split, np.arange(len(rows), dtype=np.int64)
+
+
 def _read_numbers(path: Path, lines: Lines, rows: NDArray[np.int64]) -> NDArray[np.float64]:
     """All numbers in some lines."""
     chosen = np.zeros(len(lines.words), dtype=bool)
@@ -95,7 +128,7 @@ def _read_vertices(
     words = lines.words[rows]
     width = int(words[0]) if len(words) else 3
     normals, colored, mapped = bool(keyword["N"]), bool(keyword["C"]), bool(keyword["ST"])
-    least = 3 + 3 * normals + 3 * colored + 2 * mapped
+    least = _count_columns(keyword)
     wrong = np.flatnonzero((words != width) | (words < least))
     if wrong.size:
         wanted = width if width >= least else f"{least} or more"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.formats.files import to_utf8
 from slepian_prt.scene.formats.text import parse_numbers, split_lines
 
 _TYPES = {
@@ -88,7 +89,7 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
     UserError
         Not a PLY file, a malformed header, more or fewer numbers than it declares, or numbers that cannot be read.
     """
-    raw = path.read_bytes()
+    raw = to_utf8(path.read_bytes())
     header = read_header(path, raw)
     if header.order == "=":
         body, order = _read_text(path, raw, header), "="
@@ -134,8 +135,10 @@ def read_header(path: Path, raw: bytes) -> Header:
         elif keyword == "property" and elements and _is_property(words):
             kinds = [_TYPES[word] for word in words[:-1] if word != "list"]
             elements[-1][2].append(Property(words[-1], kinds[-1], kinds[0] if len(kinds) == 2 else None))
-        elif line and line != "ply":
+        elif keyword in ("format", "element", "property"):
             raise UserError(f"{path}: line {number} of its header, '{line[:60]}', is not understood; export it again")
+        elif line and line != "ply":
+            comments.append(line)  # some writers forget the word
     if order is None:
         raise UserError(f"{path}: its header names no format (ascii, binary_little_endian …); export it again")
     found = tuple(Element(name, count, tuple(properties)) for name, count, properties in elements)
@@ -163,29 +166,43 @@ def _read_text(path: Path, raw: bytes, header: Header) -> NDArray[np.uint8]:
     text = raw[header.size :]
     lines = split_lines(text)
     numbers = parse_numbers(lines.text, int(lines.words.sum()))
-    first = raw[: header.size].replace(b"\r\n", b"\n").replace(b"\r", b"\n").count(b"\n")
+    first = raw[: header.size].replace(b"\r\n", b"\n").replace(b"\r", b"\n").count(b"\n") + 1
     if numbers is None:
         bad = lines.find_bad_number(np.arange(len(lines.words)))
         if bad:
-            raise UserError(f"{path}: line {first + 1 + bad[0]}: '{bad[1]}' is not a number; export it again")
+            raise UserError(f"{path}: line {first + bad[0]}: '{bad[1]}' is not a number; export it again")
         raise UserError(f"{path}: its numbers cannot be read; export it again")
     filled = np.flatnonzero(lines.words > 0)
-    at = 0
-    for element in header.elements:
-        words = lines.words[filled[at : at + element.count]]
-        at += element.count
-        wrong = np.flatnonzero(words != len(element.properties))
-        if all(p.count is None for p in element.properties) and wrong.size and len(filled) == _rows(header):
-            line = first + 1 + int(filled[at - element.count + wrong[0]])
-            raise UserError(
-                f"{path}: line {line}: has {words[wrong[0]]} numbers, and a {element.name} has "
-                f"{len(element.properties)}; export it again"
-            )
+    if len(filled) == sum(element.count for element in header.elements):
+        _check_rows(path, header, lines.words[filled], numbers, first + filled)
     return numbers.view(np.uint8)
 
 
-def _rows(header: Header) -> int:
-    return sum(element.count for element in header.elements)
+def _check_rows(
+    path: Path, header: Header, words: NDArray[np.int64], numbers: NDArray[np.float64], line: NDArray[np.int64]
+) -> None:
+    """Raise UserError for the first of the rows, each in its line, that has other numbers than its element."""
+    begins = np.cumsum(words) - words
+    at = 0
+    for element in header.elements:
+        rows = slice(at, at + element.count)
+        at += element.count
+        begin, has = begins[rows], words[rows]
+        wanted = np.zeros(len(has), dtype=np.int64)
+        for p in element.properties:
+            if p.count is not None:
+                # Where the row has ended already it is too short anyway.
+                count = numbers[np.minimum(begin + wanted, len(numbers) - 1)]
+                is_count = (count >= 0) & (count < len(numbers)) & (count == np.trunc(count))  # or found bad later
+                wanted += np.where(is_count, count, has - wanted - 1).astype(np.int64)
+            wanted += 1
+        wrong = np.flatnonzero(has != wanted)
+        if wrong.size and (has[wrong[0]] > wanted[wrong[0]] or line[rows][wrong[0]] < line[-1]):  # else: cut off
+            its = "a" if all(p.count is None for p in element.properties) else "this"
+            raise UserError(
+                f"{path}: line {line[rows][wrong[0]]}: has {has[wrong[0]]} numbers, and {its} {element.name} has "
+                f"{wanted[wrong[0]]} by the header; export it again"
+            )
 
 
 def _truncated(path: Path, element: Element) -> UserError:

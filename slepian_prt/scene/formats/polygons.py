@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 # Sine of the smallest turn that makes a corner: float32 coordinates on a straight line turn by less.
 _STRAIGHT = 1e-6
 
+# Corners of the largest polygon that is spanned with least area, which takes their number cubed.
+_MOST_SPANNED = 100
+
 
 def triangulate(
     positions: NDArray[np.float64], sizes: NDArray[np.int64], corners: NDArray[np.int64]
@@ -17,8 +20,9 @@ def triangulate(
 
     Convex polygons become fans around their first corner, quadrilaterals are cut along the diagonal that lies inside,
     and the ears of others are clipped in their plane of best fit, whose normal is Newell's (Sutherland, Sproull &
-    Schumacker 1974). Corners on a straight line are corners of triangles too. Polygons without an area of a known
-    side, or with corners that are not finite, become fans.
+    Schumacker 1974). Corners on a straight line are corners of triangles too. Bent polygons that cross themselves in
+    that plane are spanned with the least area (Barequet & Sharir 1995). Polygons without an area of a known side, or
+    with corners that are not finite, become fans.
 
     Parameters
     ----------
@@ -86,7 +90,7 @@ def _cut(
             return _cut_quads(points, normals)
         flat = _project(points, normals)
         plain = _are_convex(flat) | ~(np.linalg.norm(normals, axis=1) > 1e-12)
-    cuts = [fan if plain[row] else _clip_ears(flat[row], fan) for row in np.flatnonzero(~plain)]
+    cuts = [_clip_ears(flat[row], points[row], fan) for row in np.flatnonzero(~plain)]
     simple = np.flatnonzero(plain)
     row = np.concatenate([np.repeat(simple, size - 2), np.repeat(np.flatnonzero(~plain), [len(cut) for cut in cuts])])
     return np.concatenate([np.tile(fan, (len(simple), 1)), *cuts]), row
@@ -133,8 +137,39 @@ def _are_convex(flat: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.all(turns > _STRAIGHT, axis=1) & np.all(_sines(seen[:, :-1], seen[:, 1:]) > _STRAIGHT, axis=1)
 
 
-def _clip_ears(flat: NDArray[np.float64], fan: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Triangles (T, 3) of one polygon (n, 2), anticlockwise as it is."""
+def _clip_ears(flat: NDArray[np.float64], points: NDArray[np.float64], fan: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Triangles (T, 3) of one polygon (n, 3), anticlockwise as it is in its plane (n, 2)."""
     ends = np.array([len(flat)], dtype=np.uint32)
     triangles = mapbox_earcut.triangulate_float64(np.ascontiguousarray(flat), ends).reshape(-1, 3)
+    if len(triangles) == len(flat) - 2:
+        return triangles.astype(np.int64)
+    # A corner left out of a bent polygon would be a hole in the surface, and out of a flat one is none.
+    if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > _STRAIGHT:
+        return _span(points) if len(flat) <= _MOST_SPANNED else fan
     return triangles.astype(np.int64) if len(triangles) else fan
+
+
+def _span(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Triangles (n - 2, 3) of least area between all sides of a polygon (n, 3).
+
+    Between corners i and j it is a triangle with one corner k between them and the least between i and k, and k and j.
+    """
+    count = len(points)
+    least = np.zeros((count, count))
+    corner = np.zeros((count, count), dtype=np.int64)
+    for apart in range(2, count):
+        for i in range(count - apart):
+            j = i + apart
+            between = points[i + 1 : j] - points[i]
+            areas = 0.5 * np.linalg.norm(np.cross(between, points[j] - points[i]), axis=1)
+            areas += least[i, i + 1 : j] + least[i + 1 : j, j]
+            corner[i, j] = i + 1 + np.argmin(areas)
+            least[i, j] = areas.min()
+    triangles, waiting = [], [(0, count - 1)]
+    while waiting:
+        i, j = waiting.pop()
+        if j - i > 1:
+            k = int(corner[i, j])
+            triangles.append((i, k, j))
+            waiting += [(i, k), (k, j)]
+    return np.array(triangles, dtype=np.int64)

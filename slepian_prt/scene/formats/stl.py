@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.formats.files import decode
+from slepian_prt.scene.formats.files import decode, to_utf8
 from slepian_prt.scene.formats.joining import join_equal, join_near
 from slepian_prt.scene.formats.parts import MeshFile, MeshPart
 from slepian_prt.scene.formats.text import Lines, find_bad_number, parse_numbers, split_lines
@@ -51,8 +51,8 @@ def read_stl(path: Path) -> MeshFile:
     count = int.from_bytes(raw[80:84], "little") if len(raw) >= 84 else -1
     if count >= 0 and len(raw) == 84 + _RECORD.itemsize * count:
         corners = np.frombuffer(raw, dtype=_RECORD, offset=84)["corners"].reshape(-1, 3).astype(np.float64)
-    elif re.match(rb"(\xef\xbb\xbf)?\s*solid\b", raw, re.IGNORECASE) and b"\0" not in raw:
-        corners = _read_text(path, raw)
+    elif re.match(rb"(\xef\xbb\xbf)?\s*solid\b", text := to_utf8(raw), re.IGNORECASE) and b"\0" not in text:
+        corners = _read_text(path, text)
     elif count < 0:
         raise UserError(
             f"{path}: holds no mesh: neither a binary STL file nor text that begins with 'solid'; export it again"

@@ -83,6 +83,9 @@ INSTANCES = ("nodes", 2, "extensions", "EXT_mesh_gpu_instancing", "attributes")
 
 BROKEN = [
     (("asset",), {"version": "1.0"}, "is glTF 1.0, and only glTF 2.0"),
+    (("asset",), {"version": 1}, "is glTF 1.0, and only glTF 2.0"),
+    (("asset",), {"version": True}, "asset has version True, not a string"),
+    (("asset",), {"version": 10**400}, "not a string"),
     (("asset",), {"version": "2.0", "minVersion": "2.7"}, "is glTF 2.7"),
     (("asset",), {}, "asset has no version"),
     (("asset",), None, "no glTF version"),
