@@ -10,6 +10,7 @@ import logging
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +23,11 @@ from slepian_prt.scene.textures import FilteredTexture, image_size
 
 log = logging.getLogger(__name__)
 
-# Along each side of a face, points that a texture is looked at; between them it is filtered.
-_POINTS = 4
+# Along each side of a face, points that a texture is looked at: more where there are few faces, so many lookups in all.
+# Each takes the mean over a quarter of what belongs to it: whole patches reach over the borders of what an atlas
+# holds, which is a few per cent of the albedo.
+_FEWEST_POINTS, _MOST_POINTS, _LOOKUPS = 4, 32, 1e6
+_PATCH = 0.25
 
 # Textures are kept as fine as this part of the faces needs; finer ones take the mean of a little more than their own.
 _FINEST_FACES = 0.1
@@ -50,11 +54,13 @@ class _Use(NamedTuple):
         return id(self.texture), self.is_srgb
 
     def areas(self) -> NDArray[np.float64]:
-        """(F,) parts of the image that belong to each point of a face that it is looked at."""
+        """(F,) parts of the image that are averaged about each point of a face that it is looked at."""
         a, b = self.uv[:, 1] - self.uv[:, 0], self.uv[:, 2] - self.uv[:, 0]
-        return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / _POINTS**2)
+        share = _PATCH / len(_points_on(len(self.uv)))
+        return np.asarray(0.5 * share * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
 
 
+@lru_cache(maxsize=32)
 def _barycentric_grid(n: int) -> NDArray[np.float64]:
     """(n², 3) centres of the n² equal triangles that a triangle is cut into."""
     up = [(3 * i + 1, 3 * j + 1) for i in range(n) for j in range(n - i)]
@@ -63,7 +69,10 @@ def _barycentric_grid(n: int) -> NDArray[np.float64]:
     return np.column_stack([1.0 - first.sum(axis=1), first])
 
 
-_GRID = _barycentric_grid(_POINTS)
+def _points_on(faces: int) -> NDArray[np.float64]:
+    """(n², 3) where each of so many faces is looked at, in barycentric coordinates."""
+    n = math.sqrt(_LOOKUPS / max(faces, 1))
+    return _barycentric_grid(int(min(max(n, _FEWEST_POINTS), _MOST_POINTS)))
 
 
 def decode_textures(parts: Sequence[MeshPart]) -> Textures:
@@ -124,14 +133,15 @@ def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float3
         albedo, metallic = np.broadcast_to(np.array(material.color) * (1.0 - factor), (count, 3)), factor
     else:
         total, weights, metallic = np.zeros((count, 3)), np.zeros(count), 0.0
-        for barycentric in _GRID:
+        points = _points_on(len(part.faces))
+        for barycentric in points:
             value = np.broadcast_to(material.color, (len(part.faces), 3))
             share = np.full(len(part.faces), factor)
             if color is not None:
                 value = value * color(barycentric)
             if metal is not None:
                 share = share * metal(barycentric)[:, 2]
-            metallic += float(share @ area) / max(len(_GRID) * float(area.sum()), 1e-300)
+            metallic += float(share @ area) / max(len(points) * float(area.sum()), 1e-300)
             value = value * (1.0 - share)[:, None]
             for k in range(3):
                 weight = area * barycentric[k]
