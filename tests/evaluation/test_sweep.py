@@ -202,7 +202,7 @@ def test_the_command(folder):
         (["--basis", "wavelets"], "basis must be one of"),
         (["--tolerance", "0"], "tolerance must be"),
         (["--clusters", "0"], "clusters must be"),
-        (["--noise", "0"], "noise must be a positive number"),
+        (["--noise", "0"], "noise must be a number in (0, 1)"),
         (["--environment", "sky.exr"], "different names"),
         (["--environment", "none.exr"], "no such file"),
         (["-o", "bumpy.ply"], "not a folder"),
