@@ -36,8 +36,9 @@ def test_a_sphere_above_a_floor(tmp_path):
     assert np.sqrt(np.mean(error**2)) < 6e-4
     # The outline is a circle, found as chords, each of which loses c³/12R of its area. By Crofton's formulas the mean
     # of c³ over that of c is 3A/π for random lines through a triangle of area A, which makes A/2π of the disk in all.
+    # That is given back: a fifth of it is allowed.
     triangle = np.pi / (2 * 950)  # of some 950 nodes, twice as many
-    assert error.mean() == pytest.approx(triangle / (2.0 * np.pi), rel=0.2)
+    assert abs(error.mean()) < 0.2 * triangle / (2.0 * np.pi)
 
 
 @pytest.fixture(scope="module")
