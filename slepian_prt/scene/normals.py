@@ -9,12 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 # Faces in one plane differ by the rounding of their normals.
 _ROUNDING = 1e-12
 
 # Faces at one edge that are compared, each with the next ones of the file.
 _MOST_FACES = 16
+
+# Vertices around that tell which side of faces back to back is the outer one.
+_AROUND = 8
 
 
 def face_normals(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
@@ -87,10 +91,15 @@ def complete_normals(
     unit[~used] = 0.0
     lost = used & ~unit.any(axis=1)
     if lost.any():
-        # Faces that meet back to back cancel: any of their normals will do better than none.
+        # Faces that meet back to back cancel: of their two sides that which the surface around is turned to.
         face_of = np.zeros(len(positions), dtype=np.int64)
         face_of[faces] = np.arange(len(faces))[:, None]
-        unit[lost] = face_normals(positions, faces[face_of[lost]])
+        either, around = face_normals(positions, faces[face_of[lost]]), np.flatnonzero(used & ~lost)
+        if around.size:
+            nearest = cKDTree(positions[around]).query(positions[lost], k=min(_AROUND, around.size))[1]
+            toward = unit[around[nearest.reshape(len(either), -1)]].sum(axis=1)
+            either *= np.where(np.einsum("ij,ij->i", either, toward) < 0.0, -1.0, 1.0)[:, None]
+        unit[lost] = either
         notes.append(f"{int(lost.sum())} vertices whose faces cancel take the normal of one of them")
     return unit
 

@@ -166,3 +166,15 @@ def test_the_size_of_given_normals_does_not_matter(size):
     np.testing.assert_allclose(mesh.normals, [expected] * 3, atol=1e-15)
     with np.errstate(all="raise"):
         make_mesh(p, [[0, 1, 2]], normals=np.tile([0.0, 6e199, 8e199], (3, 1)))
+
+
+def test_faces_back_to_back_turn_to_the_side_of_the_surface_around():
+    """Scans hold triangles twice, once each way; lying on a surface they face as it does."""
+    ball = trimesh.creation.icosphere(4)
+    for chosen in (3, 700, 1900):
+        patch = 1.001 * ball.vertices[ball.faces[chosen]]
+        for order in ([0, 1, 2], [0, 2, 1]):
+            pair = len(ball.vertices) + np.array([order, order[::-1]])
+            mesh = make_mesh(np.concatenate([ball.vertices, patch]), np.concatenate([ball.faces, pair]))
+            radial = np.einsum("ij,ij->i", mesh.normals, mesh.positions)
+            assert radial.min() > 0.99
