@@ -43,6 +43,15 @@ def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
         partial.unlink(missing_ok=True)
 
 
+def check_readable(path: str | Path, wanted: str = "a file", remedy: str = "check the path") -> None:
+    """Raise UserError for a folder, which says to name what is ``wanted``, and for a file that is not there."""
+    path = Path(path)
+    if path.is_dir():
+        raise UserError(f"{path}: is a folder; name {wanted}")
+    if not path.is_file():
+        raise UserError(f"{path}: no such file; {remedy}")
+
+
 def check_writable(path: str | Path, *inputs: str | Path) -> None:
     """Raise UserError now if `atomic_output` could not begin or would replace an input, not after the heavy work."""
     if not str(path):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output
+from slepian_prt.files import atomic_output, check_readable
 
 FORMAT = "slepian_prt transfer"
 VERSION = 2
@@ -50,10 +50,7 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
         Missing, foreign, cut short, damaged, or from another version.
     """
     path = Path(path)
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a transfer file")
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; precompute it first")
+    check_readable(path, "a transfer file", "precompute it first")
     try:
         with zipfile.ZipFile(path) as container:
             manifest = json.loads(container.read("manifest.json"))

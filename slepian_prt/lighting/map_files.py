@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.files import check_readable
 from slepian_prt.lighting.formats.exr import exr_rows
 from slepian_prt.lighting.formats.pfm import pfm_rows
 from slepian_prt.lighting.formats.pictures import picture_rows
@@ -38,10 +39,8 @@ def file_rows(path: str | Path) -> Rows:
         Missing, unreadable, or not twice as wide as high.
     """
     path = Path(path)
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name an environment map (.exr, .hdr or .png)")
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; name an environment map (.exr, .hdr or .png)")
+    wanted = "an environment map (.exr, .hdr or .png)"
+    check_readable(path, wanted, f"name {wanted}")
     try:
         with path.open("rb") as file:
             start = file.read(4)

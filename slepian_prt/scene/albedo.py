@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.parts import Material, MeshPart, Texture
 from slepian_prt.scene.left_out import LeftOut
+from slepian_prt.scene.normals import face_areas
 from slepian_prt.scene.textures import FilteredTexture, image_size
 
 log = logging.getLogger(__name__)
@@ -126,7 +127,7 @@ def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float3
     ``textures`` are those of `decode_textures`.
     """
     count, material = len(part.positions), part.material or Material("")
-    area = _areas(part)
+    area = face_areas(part.positions, part.faces)
     color, metal = (_lookup(use, textures) for use in (_color_use(part), _metal_use(part)))
     factor = 0.0 if material.metallic_texture is not None and metal is None else material.metallic
     if color is None and metal is None:
@@ -166,7 +167,7 @@ def _lookup(use: _Use | None, textures: Textures) -> Callable[[NDArray], NDArray
 
 def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tuple[LeftOut, ...]:
     """What of the materials of a mesh file is not simulated."""
-    areas = np.array([_areas(part).sum() for part in parts])
+    areas = np.array([face_areas(part.positions, part.faces).sum() for part in parts])
     whole = max(float(areas.sum()), 1e-300)
     named: defaultdict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for part, area in zip(parts, areas, strict=True):
@@ -180,12 +181,6 @@ def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tu
         reason = "metals have no diffuse part and stay dark; `albedo` lights the whole model as if it were diffuse"
         rows.insert(0, LeftOut(name, share, reason))
     return tuple(rows)
-
-
-def _areas(part: MeshPart) -> NDArray[np.float64]:
-    """(F,) twice the areas of the faces."""
-    corner = part.positions[part.faces]
-    return np.asarray(np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1))
 
 
 def _listed(names: Iterable[str], most: int = 3) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.files import check_readable
 from slepian_prt.scene.albedo import decode_textures, effects_left_out, vertex_albedo
 from slepian_prt.scene.formats.gltf import read_gltf
 from slepian_prt.scene.formats.obj import read_obj
@@ -53,10 +54,7 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     """
     path = Path(path)
     check_crease_angle(crease_angle)
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a mesh file ({', '.join(MESH_SUFFIXES)}) or a Mitsuba .xml")
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; check the path")
+    check_readable(path, f"a mesh file ({', '.join(MESH_SUFFIXES)}) or a Mitsuba .xml")
     if path.stat().st_size == 0:
         raise UserError(f"{path}: the file is empty; export the mesh again")
     suffix = path.suffix.lower()

@@ -29,6 +29,13 @@ def face_normals(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
     return np.divide(cross, length, out=np.zeros_like(cross), where=length > 0.0)
 
 
+def face_areas(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
+    """(F,) areas."""
+    corners = positions[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
+
+
 def corner_angles(positions: NDArray, faces: NDArray, corner: int) -> NDArray[np.float64]:
     """(F,) angles of the faces at one of their corners."""
     a, b, c = (positions[faces[:, (corner + k) % 3]] for k in range(3))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.scene.materials import diffuse_reflectance
 from slepian_prt.scene.mesh import Mesh, make_mesh
-from slepian_prt.scene.normals import angle_weighted_normals, split_at_creases
+from slepian_prt.scene.normals import angle_weighted_normals, face_areas, split_at_creases
 
 # Shapes that have a formula instead of vertices are cut into faces of about this part of the scene's diagonal.
 _FACE_SIZE = 1.0 / 96.0
@@ -253,8 +253,7 @@ def _parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fe
     index = np.arange(uv.shape[0]).reshape(u.shape)
     a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    corner = positions[faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = face_areas(positions, faces)
     faces = faces[area > 1e-4 * area.max()]  # at the poles triangles have no area but for rounding
     used, faces = np.unique(faces, return_inverse=True)  # a pole needs fewer vertices than the grid has there
     return _Surface(positions[used], normals[used], faces.reshape(-1, 3), uv[used])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.scene.normals import face_normals
+from slepian_prt.scene.normals import face_areas, face_normals
 from slepian_prt.scene.scene import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
 from slepian_prt.transport.directions import direction_set
@@ -27,8 +27,7 @@ def interpolation_error(scene: Scene, seed: int) -> float:
     """
     faces, positions, normals = scene.mesh.faces, scene.traced_positions, scene.receivers.normals
     rng = np.random.default_rng(seed)
-    corner = positions[faces]
-    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    area = face_areas(positions, faces)
     chosen = rng.choice(len(faces), _POINTS, p=area / area.sum())
     weights = rng.dirichlet(np.ones(3), _POINTS)
     vertices, place = np.unique(faces[chosen], return_inverse=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output, check_writable
+from slepian_prt.files import atomic_output, check_readable, check_writable
 from slepian_prt.lighting.emitters import SkyEnvironment
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.sky import Disk, SkyQuadrature, Sun
@@ -87,10 +87,7 @@ def load_transfer(path: str | Path) -> Transfer:
         Missing, foreign, cut short, damaged, or from another version.
     """
     path = Path(path)
-    if path.is_dir():
-        raise UserError(f"{path}: is a folder; name a file")
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; check the path")
+    check_readable(path)
     try:
         with path.open("rb") as file:
             arrays = np.load(file, allow_pickle=False)  # an array if it is an .npy file
