@@ -14,6 +14,7 @@ from slepian_prt.compression.codec.prediction import Coded
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
+from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.spectrum import falling_prior, light_power
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
@@ -59,6 +60,8 @@ class CompressedTransfer(Summarised):
         The scene's camera.
     toward_view : bool
         Whether this is transfer toward that camera.
+    fixed : FixedLights or None
+        What the scene's lamps send, where it has any.
     verified : dict of str to float
         Where a goal was set: relative RMS errors of relit radiance, measured on vertices held out, by light.
     verified_vertices : int
@@ -91,6 +94,7 @@ class CompressedTransfer(Summarised):
     lighting: NDArray[np.float64] | None = None
     view: View | None = None
     toward_view: bool = False
+    fixed: FixedLights | None = None
     verified: dict[str, float] = field(default_factory=dict)
     verified_vertices: int = 0
     verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import astuple
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
         "step": 0.0 if packed.coded is None else packed.coded.tuning.step,
         "terms": packed.terms,
         "prior": packed.prior,
-        "parts": [[part.name, part.first, part.count] for part in packed.parts],
+        "parts": [list(astuple(part)) for part in packed.parts],
         "name": packed.mesh.name,
         "notes": list(packed.mesh.notes),
         "expected_lost": packed.expected.lost.tolist(),
@@ -175,7 +176,7 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         )
     return CompressedTransfer(
         mesh=mesh,
-        parts=tuple(Part(name, first, number) for name, first, number in manifest["parts"]),
+        parts=tuple(Part(*part) for part in manifest["parts"]),
         bandlimit=bandlimit,
         basis=manifest["basis"],
         bases=bases,

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.emitters import emitted_environment
-from slepian_prt.lighting.environment import Environment
 from slepian_prt.renderer.variants import mitsuba
-from slepian_prt.scene import materials
-from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
+from slepian_prt.scene.mitsuba_scenes import scene_from_mitsuba
 from slepian_prt.scene.recentering import coarse_receivers, far_center, load_about
 from slepian_prt.scene.scene import Part, Scene
-from slepian_prt.scene.shapes import ReceivingShape, fewest_cuts, mitsuba_mesh, receiving_shape
+from slepian_prt.scene.shapes import mitsuba_mesh
 from slepian_prt.scene.trimesh_objects import is_of_trimesh, mesh_from_trimesh
-from slepian_prt.scene.view import View, view_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -73,7 +69,8 @@ def open_scene(
         if crease_angle is not None:
             raise UserError(f"{path}: its shapes say themselves which edges are hard; leave out the crease angle")
         with mitsuba() as mi:
-            yield _told_of_steps(_from_xml(mi, Path(path), view))
+            loaded, origin = _load_xml(mi, Path(path))
+            yield _told_of_steps(scene_from_mitsuba(mi, loaded, Path(path), origin, view))
         return
     if view is not None:
         raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
@@ -137,62 +134,6 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str) -> Scene:
     )
 
 
-# --- Mitsuba XML -----------------------------------------------------------------------------------------------------
-
-
-class _SortedShapes(NamedTuple):
-    """The shapes of a scene by what light does with them.
-
-    Attributes
-    ----------
-    receiving : list of ReceivingShape
-    occluders : list of Mitsuba shapes
-        Those that only cast shadows.
-    notes : list of str
-        What of them is not simulated.
-    """
-
-    receiving: list[ReceivingShape]
-    occluders: list[Any]
-    notes: list[str]
-
-
-def _from_xml(mi: Any, path: Path, view: str | int | None) -> Scene:
-    loaded, origin = _load_xml(mi, path)
-    sensor, scene_view = _camera(mi, loaded.sensors(), view, path)
-    if scene_view is not None:
-        scene_view = scene_view.moved(origin)
-    shapes = _sort_shapes(mi, loaded, path, toward_view=view is not None)
-    if not shapes.receiving:
-        listed = "; ".join(shapes.notes) or "it has no shapes"
-        raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
-    environment, other_lights = _lights(mi, loaded.emitters(), str(path))
-    meshes = [shape.mesh for shape in shapes.receiving]
-    counts = np.array([len(mesh.positions) for mesh in meshes])
-    offsets = np.cumsum(counts) - counts
-    face_counts = np.array([len(shape.faces) for shape in shapes.receiving])
-    faces = [shape.faces + offset for shape, offset in zip(shapes.receiving, offsets, strict=True)]
-    return Scene(
-        mi=mi,
-        path=str(path),
-        mesh=_joined(path.stem, meshes, offsets, origin),
-        parts=tuple(
-            Part(mesh.name, int(first), int(n)) for mesh, first, n in zip(meshes, offsets, counts, strict=True)
-        ),
-        origin=origin,
-        scale=1.0,
-        shapes=(*(shape.shape for shape in shapes.receiving), *shapes.occluders),
-        faces=np.concatenate(faces).astype(np.int32),
-        first_faces=tuple(int(first) for first in np.cumsum(face_counts) - face_counts),
-        two_sided=tuple(materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving),
-        has_materials=True,
-        view=scene_view,
-        sensor=sensor if scene_view is None else None,
-        environment=environment,
-        not_simulated=tuple(map(LeftOut, (*shapes.notes, *other_lights))),
-    )
-
-
 def _load_xml(mi: Any, path: Path) -> tuple[Any, NDArray[np.float64]]:
     """The scene, unoptimised, and the point of the world that is its origin: another than zero if it is far from it."""
     level = mi.log_level()
@@ -209,92 +150,3 @@ def _load_xml(mi: Any, path: Path) -> tuple[Any, NDArray[np.float64]]:
         raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); correct it there") from None
     finally:
         mi.set_log_level(level)
-
-
-def _sort_shapes(mi: Any, loaded: Any, path: Path, *, toward_view: bool) -> _SortedShapes:
-    box, shapes = loaded.bbox(), loaded.shapes()
-    diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
-    if shapes and not np.isfinite(diagonal):
-        raise UserError(f"{path}: its shapes have no finite size; correct their transforms")
-    result = _SortedShapes([], [], [])
-    reflects = materials.reflects_toward_a_view if toward_view else materials.reflects_diffusely
-    fewest = fewest_cuts(len(shapes))
-    for index, shape in enumerate(shapes):
-        name = shape.id() or f"shape_{index}"
-        bsdf = shape.bsdf()
-        if shape.class_name() in ("Instance", "ShapeGroup"):
-            result.notes.append(f"shape '{name}' (instances are left out altogether, their shadows too)")
-            continue
-        if shape.is_emitter():
-            result.notes.append(f"light emitted by shape '{name}'")
-        lit = reflects(mi, bsdf)
-        origin = f"{path}: shape '{name}'"
-        receiving = receiving_shape(mi, shape, name, origin, diagonal, fewest) if lit else None
-        if receiving is not None:
-            result.receiving.append(receiving)
-            result.notes.extend(materials.left_out(mi, bsdf, name, view=toward_view))
-            continue
-        result.occluders.append(shape)
-        reason = "it has no vertices" if lit else "its material has no diffuse part"
-        result.notes.append(f"light received by shape '{name}' ({reason}; it casts shadows only)")
-    return result
-
-
-def _joined(name: str, meshes: Sequence[Mesh], offsets: Sequence[int], origin: NDArray) -> Mesh:
-    """All meshes as one in the world, the vertices of each from its offset on."""
-    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]
-    return Mesh(
-        name,
-        np.concatenate([mesh.positions for mesh in meshes]) + origin,
-        np.concatenate([mesh.normals for mesh in meshes]),
-        np.concatenate(faces).astype(np.int32),
-        np.concatenate([mesh.albedo for mesh in meshes]),
-        tuple(note for mesh in meshes for note in mesh.notes),
-    )
-
-
-def _camera(mi: Any, sensors: Sequence[Any], view: str | int | None, path: Path) -> tuple[Any, View | None]:
-    """The wanted camera, or without a wish the first if there is one; and it as a `View`, None for another kind."""
-    sensor = _wanted_sensor(sensors, view, path)
-    scene_view = view_of(mi, sensor)
-    if view is not None and scene_view is None:
-        raise UserError(f"{path}: camera {view!r} is a {sensor.class_name()}; a view needs a plain perspective camera")
-    if sensor is not None and scene_view is None:
-        log.info(
-            "%s: camera '%s' is no plain perspective one; pictures of relight are taken by a camera of its own",
-            path,
-            sensor.id(),
-        )
-    return sensor, scene_view
-
-
-def _wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: Path) -> Any:
-    """The camera of that id or number; without one, the first, or None."""
-    if view is None:
-        return sensors[0] if sensors else None
-    names = [camera.id() for camera in sensors]
-    if isinstance(view, str) and view in names:
-        return sensors[names.index(view)]
-    if str(view).isdigit() and int(view) < len(sensors):
-        return sensors[int(view)]
-    known = ", ".join(f"{number} ('{name}')" for number, name in enumerate(names)) or "it has none"
-    raise UserError(f"{path}: no camera {view!r}; name one by number or id: {known}")
-
-
-def _lights(mi: Any, emitters: Sequence[Any], origin: str) -> tuple[Environment | None, list[str]]:
-    """The scene's distant light, and what other light it has (shapes that emit are named with their shapes)."""
-    environment, others = None, []
-    for emitter in emitters:
-        if emitter.is_environment():
-            try:
-                environment = emitted_environment(mi, emitter, origin)
-            except UserError as error:  # transport does not need it; `relight` then asks for a map
-                log.info("%s; its own light is left out, so name a map to relight with", error)
-                continue
-            if emitter.class_name() == "TimedSunskyEmitter":
-                log.info("%s: of its timed_sunsky the light at time 0 is taken", origin)
-            if environment.clamped:
-                log.info("%s: %d negative texels of its light set to zero", origin, environment.clamped)
-        elif not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
-            others.append(f"light of emitter '{emitter.id() or emitter.class_name()}'")
-    return environment, others

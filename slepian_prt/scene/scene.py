@@ -21,11 +21,28 @@ from slepian_prt.scene.view import View
 
 @dataclass(frozen=True)
 class Part:
-    """One receiving shape: vertices ``first : first + count`` of the scene's mesh."""
+    """One receiving shape: vertices ``first : end`` of the scene's mesh.
+
+    Attributes
+    ----------
+    name : str
+    first : int
+    count : int
+        Of the vertices of the shape.
+    sides : 1 or 2
+        With 2, vertices ``first + count : end`` are the backs of those before them, in the same order: at the same
+        places, with normals the other way; so are the faces of the mesh between them.
+    """
 
     name: str
     first: int
     count: int
+    sides: int = 1
+
+    @property
+    def end(self) -> int:
+        """The first vertex behind those of the part."""
+        return self.first + self.sides * self.count
 
 
 @dataclass(frozen=True)
@@ -61,6 +78,8 @@ class Scene:
         The scene's own distant light.
     not_simulated : tuple of LeftOut
         What the scene has and transport here leaves out.
+    loaded : Mitsuba scene or None
+        As its author has it, where it is one: its lamps, and the shapes before they were cut into vertices.
     """
 
     mi: Any
@@ -78,6 +97,7 @@ class Scene:
     sensor: Any
     environment: Environment | None
     not_simulated: tuple[LeftOut, ...] = ()
+    loaded: Any = None
 
     @property
     def receivers(self) -> Receivers:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
@@ -57,6 +58,8 @@ class Transfer(Summarised):
         The scene's camera.
     toward_view : bool
         Whether ``vectors`` hold the light that all materials send toward that camera, reflectance included.
+    fixed : FixedLights or None
+        What the scene's lamps send, where it has any.
     """
 
     vectors: NDArray[np.float32]
@@ -74,6 +77,7 @@ class Transfer(Summarised):
     environment: Environment | None = None
     view: View | None = None
     toward_view: bool = False
+    fixed: FixedLights | None = None
 
     @property
     def positions(self) -> NDArray[np.float64]:

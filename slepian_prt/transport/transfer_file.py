@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
         "notes": mesh.notes,
         "known_albedo": mesh.known_albedo,
         "not_simulated": mesh.not_simulated,
-        "parts": [[part.name, part.first, part.count] for part in transfer.parts],
+        "parts": [list(astuple(part)) for part in transfer.parts],
         "effects": [effect.as_dict() for effect in transfer.effects],
         "view": None if transfer.view is None else transfer.view.as_dict(),
         "environment": None if light is None else {"name": light.name, "clamped": light.clamped},
