@@ -39,6 +39,13 @@ def reflects_on_both_sides(mi: Any, bsdf: Any) -> bool:
     return bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide))
 
 
+def reflects_or_transmits(mi: Any, bsdf: Any) -> bool:
+    """Whether the material does anything to light: what only bounds a medium does not."""
+    flags = mi.BSDFFlags
+    does = (flags.Diffuse, flags.Glossy, flags.DeltaReflection, flags.DeltaTransmission)
+    return any(mi.has_flag(bsdf.flags(), flag) for flag in does)
+
+
 def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
     """What of the material of a receiving shape is not simulated, each as the name of an effect."""
     flags = mi.BSDFFlags
