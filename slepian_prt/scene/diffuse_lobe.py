@@ -1,7 +1,7 @@
 """How much diffuse light the diffuse lobe of a Mitsuba BSDF reflects, measured on the BSDF.
 
-What a material calls its diffuse reflectance is a parameter and not what is reflected: of a plastic with 0.5 it is 0.46,
-because light is reflected at the coat on its way in and out, and of a nonlinear one 0.27.
+What a material calls its diffuse reflectance is a parameter and not what is reflected: a plastic with 0.5 reflects
+0.46, because its coat reflects light on its way in and out, and a nonlinear one 0.26.
 """
 
 from __future__ import annotations

@@ -105,7 +105,8 @@ def effects_left_out(mi: Any, outcomes: Sequence[ShapeOutcome], *, view: bool) -
     view : bool
         Whether transfer is toward a camera: it holds gloss, and pictures of it are not gathered.
     """
-    shapes = [_described(mi, outcome, name) for outcome, name in zip(outcomes, _material_ids(mi, outcomes), strict=True)]
+    named = zip(outcomes, _material_ids(mi, outcomes), strict=True)
+    shapes = [_described(mi, outcome, name) for outcome, name in named]
     shapes.sort(key=lambda shape: -shape.area)
     whole = sum(shape.area for shape in shapes)
     verdict = NOT_SIMULATED if view else GATHERED
@@ -125,7 +126,7 @@ def effects_left_out(mi: Any, outcomes: Sequence[ShapeOutcome], *, view: bool) -
     if len(shapes) > 1:
         sending = [shape for shape in shapes if {"gloss", "mirror"} & shape.effects.keys()]
         if sending:
-            reason = "light between surfaces is diffuse: neither caustics, nor what a mirror or metal throws on its floor"
+            reason = "light between surfaces is diffuse: no caustics, nothing that mirrors and metals throw on a floor"
             rows.append(row("light onto other surfaces by reflection of", sending, reason, NOT_SIMULATED))
         letting = [shape for shape in shapes if {"transmission", "opacity"} & shape.effects.keys()]
         if letting:
@@ -139,8 +140,8 @@ def _material_ids(mi: Any, outcomes: Sequence[ShapeOutcome]) -> list[str]:
     """What each shape's material is called: not what several materials are called, as from a dict all are ``bsdf``."""
     bsdfs = [outcome.shape.bsdf() for outcome in outcomes]
     names = ["" if bsdf is None else next(filter(None, (b.id() for b in all_bsdfs(mi, bsdf))), "") for bsdf in bsdfs]
-    first = {name: bsdf for name, bsdf in reversed(list(zip(names, bsdfs, strict=True)))}
-    shared = {name for name, bsdf in zip(names, bsdfs, strict=True) if bsdf is not first[name]}
+    last = dict(zip(names, bsdfs, strict=True))
+    shared = {name for name, bsdf in zip(names, bsdfs, strict=True) if bsdf is not last[name]}
     return ["" if name in shared else name for name in names]
 
 
