@@ -236,5 +236,7 @@ def _listed(shapes: Sequence[_Described], words: Iterable[str] = ()) -> str:
     ]
     more = len(named) + len(others) - _NAMED
     text = " and ".join(parts) + (f" and {more} more" if more > 0 else "")
-    about = list(dict.fromkeys(words)) + ([f"{len(shapes)} shapes"] if named and len(shapes) > 1 else [])
+    about = list(dict.fromkeys(words))
+    if named:
+        about.append(f"{len(shapes)} shapes" if len(shapes) > 1 else f"shape '{shapes[0].outcome.name}'")
     return f"{text} ({', '.join(about)})" if about else text
