@@ -39,11 +39,15 @@ def reflects_on_both_sides(mi: Any, bsdf: Any) -> bool:
     return bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide))
 
 
-def reflects_or_transmits(mi: Any, bsdf: Any) -> bool:
-    """Whether the material does anything to light: what only bounds a medium does not."""
+def lets_all_light_through(mi: Any, bsdf: Any) -> bool:
+    """Whether a surface is nothing but a boundary: ``null``, as of media, no opacity, or glass like what is around."""
     flags = mi.BSDFFlags
     does = (flags.Diffuse, flags.Glossy, flags.DeltaReflection, flags.DeltaTransmission)
-    return any(mi.has_flag(bsdf.flags(), flag) for flag in does)
+    if not any(mi.has_flag(bsdf.flags(), flag) for flag in does):
+        return bool(mi.has_flag(bsdf.flags(), flags.Null))
+    parameters = mi.traverse(bsdf)
+    number = {"MaskBSDF": ("opacity.value", 0.0), "SmoothDielectric": ("eta", 1.0)}.get(bsdf.class_name())
+    return number is not None and number[0] in parameters and bool(np.all(np.array(parameters[number[0]]) == number[1]))
 
 
 def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:

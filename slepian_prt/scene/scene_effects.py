@@ -154,7 +154,7 @@ def _described(mi: Any, outcome: ShapeOutcome, material: str) -> _Described:
             area = 0.0
     effects: dict[str, list[str]] = {}
     bsdf = outcome.shape.bsdf()
-    if bsdf is not None and materials.reflects_or_transmits(mi, bsdf):
+    if bsdf is not None and not materials.lets_all_light_through(mi, bsdf):
         for part in all_bsdfs(mi, bsdf):
             for effect in _own_effects(mi, part):
                 word = _MATERIALS.get(part.class_name())
@@ -191,25 +191,25 @@ def _texture_rows(shapes: Sequence[_Described], verdict: str) -> list[LeftOut]:
 
 
 def _without_light(mi: Any, shapes: Sequence[_Described], whole: float, *, view: bool) -> list[LeftOut]:
-    """Shapes that receive no light, or on one side only, for another reason than that their material reflects none."""
+    """Shapes that receive no light for another reason than that their material reflects none, by reason."""
     reflects = materials.reflects_toward_a_view if view else materials.reflects_diffusely
     groups: dict[tuple[str, str], list[_Described]] = {}
     for shape in shapes:
         outcome, bsdf = shape.outcome, shape.outcome.shape.bsdf()
-        told = bool(shape.effects) or (bsdf is not None and not materials.reflects_or_transmits(mi, bsdf))
-        by_material = outcome.sides == 0 and bsdf is not None and not reflects(mi, bsdf)
-        if outcome.reason and not (by_material and told):
+        if bsdf is not None and materials.lets_all_light_through(mi, bsdf):
+            continue
+        told = bsdf is not None and not reflects(mi, bsdf) and shape.effects
+        if outcome.sides == 0 and not told:
             kind = _SHAPES.get(outcome.shape.class_name(), "shape")
-            groups.setdefault((outcome.reason, kind if outcome.sides == 0 else f"back of {kind}"), []).append(shape)
+            groups.setdefault((outcome.reason, kind), []).append(shape)
     rows = []
     for (reason, kind), some in groups.items():
         names = ", ".join(f"'{shape.outcome.name}'" for shape in some[:_NAMED])
-        kinds = kind.replace("back of", "backs of") + "s"
-        name = f"{kind} {names}" if len(some) == 1 else f"{len(some)} {kinds} ({names}{', …' * (len(some) > _NAMED)})"
+        more = ", …" if len(some) > _NAMED else ""
+        name = f"{kind} {names}" if len(some) == 1 else f"{len(some)} {kind}s ({names}{more})"
         share = sum(shape.area for shape in some) / whole if whole > 0.0 else 0.0
-        seen = "" if view else "; pictures of the scene gather it"
-        verdict = NOT_SIMULATED if view else GATHERED
-        rows.append(LeftOut(f"light received by {name}", share or None, f"{reason}{seen}", verdict))
+        text, verdict = (reason, NOT_SIMULATED) if view else (f"{reason}; pictures of the scene gather it", GATHERED)
+        rows.append(LeftOut(f"light received by {name}", share or None, text, verdict))
     return rows
 
 
