@@ -162,6 +162,17 @@ class Scene:
         first = dr.gather(mi.Int32, self._first_face, number, valid)
         return dr.select(valid & (first >= 0), first + mi.Int32(hit.prim_index), -1)
 
+    def meets_dark_back(self, hit: Any, direction: Any) -> Any:
+        """Whether rays met the back of a surface (a surface interaction), and none that light is computed on."""
+        import drjit as dr
+
+        back = hit.is_valid() & (dr.dot(hit.n, direction) > 0.0)
+        if all(part.sides == 1 for part in self.parts):
+            return back
+        face = self.hit_faces(hit)
+        holds_light = self.mi.Bool(self.faces_behind[:, 0] >= 0)
+        return back & ~dr.gather(self.mi.Bool, holds_light, face, back & (face >= 0))
+
     @property
     def occluders(self) -> tuple[Any, ...]:
         """Mitsuba shapes that cast shadows but receive no light."""
