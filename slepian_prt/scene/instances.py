@@ -101,7 +101,7 @@ def _objects_in(mi: Any, parent: Any) -> list[Any]:
     """What an object of Mitsuba refers to, in order; `mitsuba.traverse` gives only numbers, and names with clashes."""
     found = []
 
-    class Collector(mi.TraversalCallback):  # type: ignore[misc]
+    class Collector(mi.TraversalCallback):
         def put(self, _name: str, value: Any, _flags: int, _type: Any = None) -> None:
             if isinstance(value, mi.Object):
                 found.append(value)

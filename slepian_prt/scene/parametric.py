@@ -23,7 +23,6 @@ def fewest_cuts(shapes: int) -> int:
     return max(12, min(_FEWEST_CUTS, round(_FEWEST_CUTS * math.sqrt(_MANY_SHAPES / max(shapes, 1)))))
 
 
-
 def _on_sphere(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
     theta, phi = np.pi * v, 2.0 * np.pi * u
     p = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])

@@ -173,6 +173,4 @@ def _as_hit(mi: Any, shape: Any, triangles: Triangles, face: int) -> Triangles:
     hit = shape.compute_surface_interaction(ray, met, mi.RayFlags.Minimal)
     if float(np.array(hit.n).ravel() @ towards) >= 0.0:
         return triangles
-    return triangles._replace(
-        normals=None if normals is None else -normals, faces=faces[:, ::-1].copy(), are_own=False
-    )
+    return triangles._replace(normals=None if normals is None else -normals, faces=faces[:, ::-1].copy(), are_own=False)

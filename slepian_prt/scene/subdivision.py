@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from slepian_prt.scene.normals import complete_normals
 from slepian_prt.scene.triangles import Triangles
 
+# A mesh is coarse if edges are longer than so many times what is wanted; others keep the vertices that they came with.
+_COARSE = 3.0
+
 # Rounding must not decide about edges that are just as long as they may be.
 _TOLERANCE = 1.0 + 1e-6
 
@@ -37,7 +40,7 @@ class Subdivision(NamedTuple):
 def cut_long_edges(
     pieces: Sequence[Triangles], wanted: Sequence[float], copies: Sequence[int], most: int
 ) -> Subdivision:
-    """Halve edges, the longest first, until none is longer than wanted or there are too many vertices.
+    """Halve edges of coarse meshes, the longest first, until none is longer than wanted or the vertices are too many.
 
     Parameters
     ----------
@@ -53,7 +56,7 @@ def cut_long_edges(
     coarse = [
         number
         for number, (piece, limit) in enumerate(zip(pieces, limits, strict=True))
-        if side_lengths(piece.positions, piece.faces).max(initial=0.0) > limit
+        if side_lengths(piece.positions, piece.faces).max(initial=0.0) > _COARSE * limit
     ]
     nets = {number: _Net.of(pieces[number]) for number in coarse}
     ratio = _worst(nets, limits)

@@ -51,18 +51,18 @@ def open_behind(
         Where the cameras are.
     """
     result = np.zeros(len(shapes), dtype=bool)
-    chosen = np.flatnonzero(asked)
-    if chosen.size == 0:
+    chosen = np.flatnonzero(asked).tolist()
+    if not chosen:
         return result
-    count = int(np.clip(_MOST_POINTS // chosen.size, 1, _POINTS))
+    count = int(np.clip(_MOST_POINTS // len(chosen), 1, _POINTS))
     rng = np.random.default_rng(_SEED)
     spots = [_points_behind(shapes[number], count, rng) for number in chosen]
     points = _Points(*(np.concatenate(values) for values in zip(*spots, strict=True)))
     own = np.repeat([_number_of(mi, shapes[number].shape) for number in chosen], count).astype(np.uint32)
-    leaves = _leaving(mi, geometry, points, own).reshape(chosen.size, -1).mean(axis=1)
-    seen = np.zeros(chosen.size)
+    leaves = _leaving(mi, geometry, points, own).reshape(len(chosen), -1).mean(axis=1)
+    seen = np.zeros(len(chosen))
     for eye in eyes:
-        seen = np.maximum(seen, _are_seen(mi, geometry, points, eye).reshape(chosen.size, -1).mean(axis=1))
+        seen = np.maximum(seen, _are_seen(mi, geometry, points, eye).reshape(len(chosen), -1).mean(axis=1))
     result[chosen] = np.maximum(leaves, seen) > _OPEN
     return result
 

@@ -233,7 +233,7 @@ class _Decisions:
     def _between(self) -> Effect:
         coarseness = self._scene.coarseness
         left = (
-            f"the largest faces are {coarseness:.2g} times as large as they should be, as more vertices would be too many"
+            f"edges are up to {coarseness:.2g} times as long as they should be, as more vertices would be too many"
             if coarseness > 1.0
             else "subdivide the faces to see more of it"
         )
