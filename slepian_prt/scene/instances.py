@@ -123,13 +123,13 @@ def placed(mi: Any, receiving: ReceivingShape, instance: Instance, name: str) ->
     positions, normals = triangles.positions @ linear.T + offset, moved(mesh.normals)
     triangles = triangles._replace(
         positions=positions,
-        normals=normals,
+        normals=None,
         faces=triangles.faces[:, ::-1].copy() if mirrored else triangles.faces,
         are_own=False,
     )
     faces = mesh.faces[:, ::-1].copy() if mirrored else mesh.faces
     copy = replace(mesh, name=name, positions=positions, normals=normals, faces=faces, notes=())
-    return ReceivingShape(mesh_of(mi, receiving.shape.bsdf(), name, triangles), copy, triangles, receiving)
+    return ReceivingShape(mesh_of(mi, receiving.shape.bsdf(), name, triangles, normals), copy, triangles, receiving)
 
 
 def casting_shadows(mi: Any, shapes: Sequence[Any], instances: Sequence[Instance]) -> tuple[Any, list[Any]]:

@@ -25,7 +25,7 @@ class ReceivingShape:
         The scene's own, or one that replaces a sphere and the like.
     mesh : Mesh
     triangles : Triangles
-        As Mitsuba numbers them, with the normals of ``mesh``, which leaves out degenerate faces.
+        As Mitsuba numbers them; ``mesh`` has the same vertices and leaves out degenerate faces.
     original : ReceivingShape or None
         What it is a copy of.
     """
@@ -85,8 +85,7 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, triangles: Tria
     """
     positions, faces = triangles.positions, triangles.faces
     mesh = make_mesh(positions, faces, normals=triangles.normals, name=name, origin=origin)
-    triangles = triangles._replace(normals=mesh.normals)
-    traced = shape if triangles.are_own else mesh_of(mi, shape.bsdf(), name, triangles)
+    traced = shape if triangles.are_own else mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
     albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
     return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles)
 
@@ -114,8 +113,8 @@ def mitsuba_mesh(mi: Any, mesh: Mesh) -> Any:
         else {"type": "mesh_attribute", "name": "vertex_albedo"}
     )
     bsdf = mi.load_dict({"type": "twosided", "material": {"type": "diffuse", "reflectance": reflectance}})
-    triangles = Triangles(mesh.positions, mesh.normals, mesh.faces, None, {}, are_own=False)
-    shape = mesh_of(mi, bsdf, mesh.name, triangles)
+    triangles = Triangles(mesh.positions, None, mesh.faces, None, {}, are_own=False)
+    shape = mesh_of(mi, bsdf, mesh.name, triangles, mesh.normals)
     if not constant:
         add_vertex_attribute(mi, shape, "vertex_albedo", mesh.albedo)
     return shape

@@ -85,24 +85,23 @@ def along_normals(triangles: Triangles) -> Triangles:
     return triangles._replace(faces=np.where(against[:, None], faces[:, ::-1], faces))
 
 
-def mesh_of(mi: Any, bsdf: Any, name: str, triangles: Triangles) -> Any:
-    """A Mitsuba mesh of triangles that have normals."""
+def mesh_of(mi: Any, bsdf: Any, name: str, triangles: Triangles, normals: NDArray) -> Any:
+    """A Mitsuba mesh of triangles, with the normals given."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = bsdf
-    has_uv = triangles.uv is not None
     shape = mi.Mesh(
         name,
         len(triangles.positions),
         len(triangles.faces),
         props=properties,
         has_vertex_normals=True,
-        has_vertex_texcoords=has_uv,
+        has_vertex_texcoords=triangles.uv is not None,
     )
     parameters = mi.traverse(shape)
     parameters["vertex_positions"] = mi.Float(triangles.positions.astype(np.float32).ravel())
-    parameters["vertex_normals"] = mi.Float(triangles.normals.astype(np.float32).ravel())
+    parameters["vertex_normals"] = mi.Float(normals.astype(np.float32).ravel())
     parameters["faces"] = mi.UInt32(triangles.faces.astype(np.uint32).ravel())
-    if has_uv:
+    if triangles.uv is not None:
         parameters["vertex_texcoords"] = mi.Float(triangles.uv.astype(np.float32).ravel())
     parameters.update()
     for attribute, values in triangles.attributes.items():
