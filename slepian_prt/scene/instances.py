@@ -129,7 +129,9 @@ def placed(mi: Any, receiving: ReceivingShape, instance: Instance, name: str) ->
     )
     faces = mesh.faces[:, ::-1].copy() if mirrored else mesh.faces
     copy = replace(mesh, name=name, positions=positions, normals=normals, faces=faces, notes=())
-    return ReceivingShape(mesh_of(mi, receiving.shape.bsdf(), name, triangles, normals), copy, triangles, receiving)
+    return ReceivingShape(
+        mesh_of(mi, receiving.shape.bsdf(), name, triangles, normals), copy, triangles, original=receiving
+    )
 
 
 def casting_shadows(mi: Any, shapes: Sequence[Any], instances: Sequence[Instance]) -> tuple[Any, list[Any]]:

@@ -59,7 +59,7 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
     two_sided = np.array([materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving])
     backs: list[NDArray[np.float32] | None] = [None] * len(shapes.receiving)
     if view is None:  # toward a camera, fronts alone are simulated
-        open_backs = open_behind(mi, geometry, shapes.receiving, two_sided, eyes_of(mi, loaded.sensors()))
+        open_backs = open_behind(mi, geometry, shapes.receiving, two_sided, eyes_of(mi, loaded))
         backs = _albedo_behind(mi, shapes.receiving, open_backs, str(path))
     meshes = [
         shape.mesh if behind is None else with_back(shape.mesh, behind)

@@ -26,6 +26,8 @@ class ReceivingShape:
     mesh : Mesh
     triangles : Triangles
         As Mitsuba numbers them; ``mesh`` has the same vertices and leaves out degenerate faces.
+    shines : bool
+        Whether it is a lamp too.
     original : ReceivingShape or None
         What it is a copy of.
     """
@@ -33,6 +35,7 @@ class ReceivingShape:
     shape: Any
     mesh: Mesh
     triangles: Triangles
+    shines: bool = False
     original: ReceivingShape | None = None
 
 
@@ -87,7 +90,7 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, triangles: Tria
     mesh = make_mesh(positions, faces, normals=triangles.normals, name=name, origin=origin)
     traced = shape if triangles.are_own else mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
     albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
-    return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles)
+    return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles, shape.is_emitter())
 
 
 def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> NDArray[np.float32]:

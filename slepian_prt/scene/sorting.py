@@ -62,7 +62,7 @@ class SortedShapes(NamedTuple):
         """The outcomes, after it is known which receiving shapes are lit on both sides."""
         result = list(self.outcomes)
         for number, count, both in zip(self.of_outcome, sides, two_sided, strict=True):
-            reason = "nothing but itself is behind it" if both and count == 1 else ""
+            reason = "it is closed: nobody sees its back" if both and count == 1 else ""
             if count >= result[number].sides:  # instances of one shape may differ
                 result[number] = result[number]._replace(sides=count, reason=reason)
         return result

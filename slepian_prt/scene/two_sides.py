@@ -1,8 +1,9 @@
 """Which surfaces are seen from behind: where both sides reflect, light is computed on the backs of these too.
 
-Blender and others call every material two-sided, also those of closed models, whose backs nobody sees. So rays look
-around behind each surface: the back counts if they meet the sky, a surface's front or another shape there, or if one of
-the scene's cameras sees it.
+Blender and others call every material two-sided, also those of closed models, whose backs nobody sees. So the room
+behind each surface is explored by rays that go on from what they meet, on the side that they meet it: the back counts
+if they find a way to the sky, to a lamp or to what is not held (mirrors, glass), or if a camera or a small lamp is in
+that room. Inside a closed solid they find nothing, also where others are sunk in it.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from numpy.typing import NDArray
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.normals import face_areas
 from slepian_prt.scene.shapes import ReceivingShape
-from slepian_prt.sphere.quadrature import hemisphere_fibonacci
-from slepian_prt.sphere.rotation import rotation_to
 
-# Points on each shape, of all shapes together, and directions around each.
-_POINTS, _MOST_POINTS = 256, 1 << 16
-_DIRECTIONS = 16
+# Ways from each shape and from all together, and the rays of each.
+_WAYS, _MOST_WAYS = 1024, 1 << 16
+_RAYS = 4
 
-# Where a part of the rays no larger than this leaves, as through the holes of a scan or where a leg is sunk in a floor,
-# the surface counts as closed.
-_OPEN = 0.02
+# Where no larger part of the ways leads out, as through the holes of a scan, the surface counts as closed.
+_OPEN = 0.03
+
+# A ray goes on from this part of its length before what it met.
+_SHORT = 1e-4
 
 # Rays start this part of the shortest side of a face behind it, but no less than so many units in the last place.
 _PART_OF_EDGE, _UNITS = 1e-4, 32.0
@@ -48,22 +49,21 @@ def open_behind(
     asked : (n,)
         Of which this is to be found out; False is told of the others.
     eyes : (k, 3)
-        Where the cameras are.
+        Where cameras and small lamps are.
     """
     result = np.zeros(len(shapes), dtype=bool)
     chosen = np.flatnonzero(asked).tolist()
     if not chosen:
         return result
-    count = int(np.clip(_MOST_POINTS // len(chosen), 1, _POINTS))
+    count = int(np.clip(_MOST_WAYS // len(chosen), 16, _WAYS))
     rng = np.random.default_rng(_SEED)
-    spots = [_points_behind(shapes[number], count, rng) for number in chosen]
-    points = _Points(*(np.concatenate(values) for values in zip(*spots, strict=True)))
-    own = np.repeat([_number_of(mi, shapes[number].shape) for number in chosen], count).astype(np.uint32)
-    leaves = _leaving(mi, geometry, points, own).reshape(len(chosen), -1).mean(axis=1)
-    seen = np.zeros(len(chosen))
+    begins = [_points_behind(shapes[number], count, rng) for number in chosen]
+    points = _Points(*(np.concatenate(values) for values in zip(*begins, strict=True)))
+    held = _numbers(mi, [shape.shape for shape in shapes if not shape.shines])
+    is_open = _lead_out(mi, geometry, points, held, rng).reshape(len(chosen), -1).mean(axis=1) > _OPEN
     for eye in eyes:
-        seen = np.maximum(seen, _are_seen(mi, geometry, points, eye).reshape(len(chosen), -1).mean(axis=1))
-    result[chosen] = np.maximum(leaves, seen) > _OPEN
+        is_open |= _are_seen(mi, geometry, points, eye).reshape(len(chosen), -1).mean(axis=1) > _OPEN
+    result[chosen] = is_open
     return result
 
 
@@ -79,13 +79,16 @@ def with_back(mesh: Mesh, albedo: NDArray[np.float32]) -> Mesh:
     )
 
 
-def eyes_of(mi: Any, sensors: Sequence[Any]) -> NDArray[np.float64]:
-    """(k, 3) where the cameras of a scene are, as far as they are anywhere."""
+def eyes_of(mi: Any, loaded: Any) -> NDArray[np.float64]:
+    """(k, 3) where the cameras and lamps of a Mitsuba scene are, as far as they are in one place."""
     eyes = []
-    for sensor in sensors:
-        parameters = mi.traverse(sensor)
+    lamps = [lamp for lamp in loaded.emitters() if mi.has_flag(lamp.flags(), mi.EmitterFlags.DeltaPosition)]
+    for placed in (*loaded.sensors(), *lamps):
+        parameters = mi.traverse(placed)
         if "to_world" in parameters:
             eyes.append(np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, 3])
+        elif "position" in parameters:
+            eyes.append(np.array(parameters["position"], dtype=np.float64).ravel())
     return np.array(eyes).reshape(-1, 3)
 
 
@@ -109,25 +112,41 @@ def _points_behind(shape: ReceivingShape, count: int, rng: np.random.Generator) 
     return _Points(places - away[:, None] * normal, -normal)
 
 
-def _number_of(mi: Any, shape: Any) -> int:
-    """The number that Dr.Jit knows a shape by."""
+def _numbers(mi: Any, shapes: Sequence[Any]) -> NDArray[np.uint32]:
+    """The numbers that Dr.Jit knows shapes by."""
     import drjit as dr
 
-    return int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)))[0])
+    pointers = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)) for shape in shapes]
+    return np.array([np.array(pointer)[0] for pointer in pointers], dtype=np.uint32)
 
 
-def _leaving(mi: Any, geometry: Any, points: _Points, own: NDArray) -> NDArray[np.bool_]:
-    """(n, directions) whether rays meet anything but the back of the shape that they come from."""
+def _lead_out(
+    mi: Any, geometry: Any, points: _Points, held: NDArray[np.uint32], rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """(n,) whether a way of a few rays meets anything but shapes of the numbers that are ``held``."""
     import drjit as dr
 
-    local = hemisphere_fibonacci(_DIRECTIONS)
-    world = np.einsum("nij,kj->nki", rotation_to(points.outward), local).reshape(-1, 3)
-    origin = np.repeat(points.places, _DIRECTIONS, axis=0)
-    ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(world.T.astype(np.float32)))
-    hit = geometry.ray_intersect(ray, mi.RayFlags.Minimal, True)
-    same = dr.reinterpret_array(mi.UInt32, hit.shape) == mi.UInt32(np.repeat(own, _DIRECTIONS))
-    inside = hit.is_valid() & (dr.dot(hit.n, ray.d) > 0.0) & same
-    return ~np.array(inside).reshape(-1, _DIRECTIONS)
+    out = np.zeros(len(points.places), dtype=bool)
+    inside = np.arange(len(out))
+    places, outward = points
+    for _ in range(_RAYS):
+        way = rng.standard_normal((len(inside), 3))
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        way += outward  # by Lambert's law
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
+        ray = mi.Ray3f(mi.Point3f(places.T.astype(np.float32)), mi.Vector3f(way.T.astype(np.float32)))
+        hit = geometry.ray_intersect(ray, mi.RayFlags.Minimal, True)
+        number = np.array(dr.reinterpret_array(mi.UInt32, hit.shape))
+        goes_on = np.array(hit.is_valid() & (hit.instance == None)) & np.isin(number, held)  # noqa: E711
+        out[inside[~goes_on]] = True
+        inside, way = inside[goes_on], way[goes_on]
+        if inside.size == 0:
+            break
+        length = np.array(hit.t, dtype=np.float64)[goes_on]
+        normal = np.array(hit.n, dtype=np.float64).T[goes_on]
+        places = places[goes_on] + (1.0 - _SHORT) * length[:, None] * way
+        outward = normal * np.where(np.einsum("ij,ij->i", normal, way) > 0.0, -1.0, 1.0)[:, None]
+    return out
 
 
 def _are_seen(mi: Any, geometry: Any, points: _Points, eye: NDArray) -> NDArray[np.bool_]:
