@@ -69,7 +69,7 @@ def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
     Raises
     ------
     UserError
-        An instance whose transform cannot be used.
+        An instance whose transform cannot be used, or of a group without shapes, which Mitsuba cannot trace.
     """
     groups = {
         group.id(): InstancedGroup(group.id(), list(shapes_in(mi, group)), [])
@@ -88,6 +88,8 @@ def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
         group = groups.get(named.group(1)) if named else None
         if group is None:
             raise UserError(f"{path}: instance '{name}': its group of shapes cannot be found; give the group an id")
+        if not group.shapes:
+            raise UserError(f"{path}: instance '{name}': its group '{group.name}' has no shapes; give it some")
         group.instances.append(Instance(name, matrix))
     return [group for group in groups.values() if group.instances]
 
