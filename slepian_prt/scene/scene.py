@@ -136,7 +136,10 @@ class Scene:
     @cached_property
     def faces_behind(self) -> NDArray[np.int32]:
         """(F', 3) as ``faces``, of the vertices that receive light behind; -1 where light is computed in front only."""
-        behind = np.full_like(self.faces, -1)
+        none = np.broadcast_to(np.int32(-1), self.faces.shape)
+        if all(part.sides == 1 for part in self.parts):
+            return none
+        behind = none.copy()
         ends = (*self.first_faces[1:], len(self.faces))
         for part, first, end in zip(self.parts, self.first_faces, ends, strict=True):
             if part.sides == 2:

@@ -203,7 +203,7 @@ class _Gatherer(HemisphereRays):
         mi = scene.mi
 
         super().__init__(scene, directions, seed)
-        self._vertices = np.stack([scene.faces, scene.faces_behind])  # of what is met in front, and behind
+        self._faces, self._behind = scene.faces, scene.faces_behind
         self._reflects_behind = np.repeat(np.array(scene.two_sided), np.diff([*scene.first_faces, len(scene.faces)]))
         corners = scene.traced_positions[scene.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -225,8 +225,8 @@ class _Gatherer(HemisphereRays):
         dr.eval(valid, receives, front, face, u, v)
         weight = np.tile(directions.weights.astype(np.float32), count)
         is_hit, is_receiver, is_front, met = (np.array(values) for values in (valid, receives, front, face))
-        side, met = np.where(is_front, 0, 1), np.maximum(met, 0)
-        holds_light = is_receiver & (self._vertices[side, met, 0] >= 0)
+        met = np.maximum(met, 0)
+        holds_light = is_front | (is_receiver & (self._behind[met, 0] >= 0))
         scale = np.ones(count, dtype=np.float32)
         if blocked is not None:
             measured = np.add.reduceat(np.where(is_hit, weight, 0.0), np.arange(0, is_hit.size, directions.size))
@@ -236,7 +236,7 @@ class _Gatherer(HemisphereRays):
         share = weight[lane] * scale[row]
         second, third = np.array(u)[lane], np.array(v)[lane]
         values = np.stack([share * (1.0 - second - third), share * second, share * third], axis=1)
-        corner = self._vertices[side[lane], met[lane]]
+        corner = np.where(is_front[lane, None], self._faces[met[lane]], self._behind[met[lane]])
         places = (np.repeat(row, 3).astype(np.int32), corner.ravel())
         return _GatherBlock(
             csr_array((values.ravel(), places), shape=(count, len(self._normals))),
