@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.projection import Projection
+from slepian_prt.scene.instances import shapes_in
 from slepian_prt.transport.planned import PlannedScene
 
 
@@ -21,7 +22,8 @@ def fingerprint(planned: PlannedScene, projection: Projection) -> str:
     digest.update(repr(numbers).encode())
     mesh = scene.mesh
     arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
-    for shape in scene.shapes:
+    instanced = [shape for group in scene.groups for shape in shapes_in(scene.mi, group)]
+    for shape in (*scene.shapes, *instanced):
         arrays += shape_arrays(scene.mi, shape)
     arrays += [learned.clusters.index, *(basis.analysis for basis in projection.bases)]
     if learned.pilot is not None and learned.pilot.mean is not None:

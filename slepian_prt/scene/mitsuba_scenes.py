@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +16,14 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene import materials
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
-from slepian_prt.scene.normals import face_areas
-from slepian_prt.scene.scene import Part, Scene
-from slepian_prt.scene.scene_effects import ShapeOutcome, effects_left_out
-from slepian_prt.scene.shapes import ReceivingShape, fewest_cuts, receiving_shape
+from slepian_prt.scene.scene import Part, Scene, traced_scene
+from slepian_prt.scene.scene_effects import effects_left_out
+from slepian_prt.scene.shapes import ReceivingShape, reflectance_behind
+from slepian_prt.scene.sorting import sort_shapes
+from slepian_prt.scene.two_sides import eyes_of, open_behind, with_back
 from slepian_prt.scene.view import View, view_of
 
 log = logging.getLogger(__name__)
-
-
-class _SortedShapes(NamedTuple):
-    """The shapes of a scene by what light does with them.
-
-    Attributes
-    ----------
-    receiving : list of ReceivingShape
-    occluders : list of Mitsuba shapes
-        Those that only cast shadows.
-    outcomes : list of ShapeOutcome
-        What became of each.
-    """
-
-    receiving: list[ReceivingShape]
-    occluders: list[Any]
-    outcomes: list[ShapeOutcome]
 
 
 def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.float64], view: str | int | None) -> Scene:
@@ -64,64 +48,71 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
     sensor, scene_view = _camera(mi, loaded.sensors(), view, path)
     if scene_view is not None:
         scene_view = scene_view.moved(origin)
-    shapes = _sort_shapes(mi, loaded, path, toward_view=view is not None)
-    left_out = effects_left_out(mi, shapes.outcomes, view=view is not None)
+    shapes = sort_shapes(mi, loaded, str(path), toward_view=view is not None)
     if not shapes.receiving:
+        left_out = effects_left_out(mi, shapes.outcomes, view=view is not None)
         listed = "; ".join(row.name for row in left_out) or "it has no shapes"
         raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
     environment, other_lights = _lights(mi, loaded.emitters(), str(path))
-    meshes = [shape.mesh for shape in shapes.receiving]
-    counts = np.array([len(mesh.positions) for mesh in meshes])
-    offsets = np.cumsum(counts) - counts
-    face_counts = np.array([len(shape.faces) for shape in shapes.receiving])
-    faces = [shape.faces + offset for shape, offset in zip(shapes.receiving, offsets, strict=True)]
-    return Scene(
+    traced = (*(shape.shape for shape in shapes.receiving), *shapes.occluders)
+    geometry = traced_scene(mi, traced, shapes.groups)
+    two_sided = np.array([materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving])
+    backs: list[NDArray[np.float32] | None] = [None] * len(shapes.receiving)
+    if view is None:  # toward a camera, fronts alone are simulated
+        open_backs = open_behind(mi, geometry, shapes.receiving, two_sided, eyes_of(mi, loaded))
+        backs = _albedo_behind(mi, shapes.receiving, open_backs, str(path))
+    meshes = [
+        shape.mesh if behind is None else with_back(shape.mesh, behind)
+        for shape, behind in zip(shapes.receiving, backs, strict=True)
+    ]
+    sides = [1 if behind is None else 2 for behind in backs]
+    ends = np.cumsum([len(mesh.positions) for mesh in meshes])
+    offsets = [0, *ends[:-1].tolist()]
+    face_counts = np.array([len(shape.triangles.faces) for shape in shapes.receiving])
+    faces = [shape.triangles.faces + offset for shape, offset in zip(shapes.receiving, offsets, strict=True)]
+    left_out = effects_left_out(mi, shapes.outcomes_with(sides, two_sided), view=view is not None)
+    scene = Scene(
         mi=mi,
         path=str(path),
         mesh=_joined(path.stem, meshes, offsets, origin),
         parts=tuple(
-            Part(mesh.name, int(first), int(n)) for mesh, first, n in zip(meshes, offsets, counts, strict=True)
+            Part(shape.mesh.name, first, len(shape.mesh.positions), of)
+            for shape, first, of in zip(shapes.receiving, offsets, sides, strict=True)
         ),
         origin=origin,
         scale=1.0,
-        shapes=(*(shape.shape for shape in shapes.receiving), *shapes.occluders),
+        shapes=traced,
         faces=np.concatenate(faces).astype(np.int32),
         first_faces=tuple(int(first) for first in np.cumsum(face_counts) - face_counts),
-        two_sided=tuple(materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving),
+        two_sided=tuple(bool(both) for both in two_sided),
         has_materials=True,
         view=scene_view,
         sensor=sensor if scene_view is None else None,
         environment=environment,
         not_simulated=(*left_out, *map(LeftOut, other_lights)),
         loaded=loaded,
+        groups=tuple(shapes.groups),
+        coarseness=shapes.coarseness,
     )
+    vars(scene)["geometry"] = geometry  # the same shapes: building it takes as long as all the rest
+    return scene
 
 
-def _sort_shapes(mi: Any, loaded: Any, path: Path, *, toward_view: bool) -> _SortedShapes:
-    box, shapes = loaded.bbox(), loaded.shapes()
-    diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
-    if shapes and not np.isfinite(diagonal):
-        raise UserError(f"{path}: its shapes have no finite size; correct their transforms")
-    result = _SortedShapes([], [], [])
-    reflects = materials.reflects_toward_a_view if toward_view else materials.reflects_diffusely
-    fewest = fewest_cuts(len(shapes))
-    for index, shape in enumerate(shapes):
-        name = shape.id() or f"shape_{index}"
-        if shape.class_name() in ("Instance", "ShapeGroup"):
-            reason = "instances are left out altogether, their shadows too"
-            result.outcomes.append(ShapeOutcome(shape, name, 0.0, 0, reason))
+def _albedo_behind(
+    mi: Any, receiving: Sequence[ReceivingShape], open_backs: NDArray[np.bool_], path: str
+) -> list[NDArray[np.float32] | None]:
+    """(V, 3) what the back of each shape reflects, for those whose back is open."""
+    known: dict[int, NDArray[np.float32]] = {}
+    result: list[NDArray[np.float32] | None] = []
+    for shape, is_open in zip(receiving, open_backs, strict=True):
+        if not is_open:
+            result.append(None)
             continue
-        lit = reflects(mi, shape.bsdf())
-        origin = f"{path}: shape '{name}'"
-        receiving = receiving_shape(mi, shape, name, origin, diagonal, fewest) if lit else None
-        if receiving is not None:
-            result.receiving.append(receiving)
-            area = float(face_areas(receiving.mesh.positions, receiving.mesh.faces).sum())
-            result.outcomes.append(ShapeOutcome(shape, name, area, 1))
-            continue
-        result.occluders.append(shape)
-        reason = "it has no vertices" if lit else "its material has no diffuse part"
-        result.outcomes.append(ShapeOutcome(shape, name, 0.0, 0, f"{reason}; it casts shadows only"))
+        source = shape.original or shape  # copies reflect alike
+        if id(source) not in known:
+            origin = f"{path}: shape '{source.mesh.name}'"
+            known[id(source)] = reflectance_behind(mi, source, origin)
+        result.append(known[id(source)])
     return result
 
 

@@ -54,7 +54,8 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
             way = (above[:, end] - above[:, begin])[known]
             starts_behind, near = _place_behind(scene, met, pair[:, 0])
             shows_back = np.einsum("ij,ij->i", _outward(scene, met), way) > 0.0
-            through = shows_back & starts_behind & (scene.faces[met] != pair[:, :1]).all(axis=1)
+            is_other = (scene.faces[met] != scene.fronts[pair[:, :1]]).all(axis=1)
+            through = shows_back & starts_behind & is_other
             pairs.append(pair[through])
             touching.append(near[through])
     found, row = np.unique(np.concatenate(pairs), axis=0, return_inverse=True)

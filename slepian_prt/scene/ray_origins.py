@@ -106,7 +106,7 @@ def _is_own(scene: Scene, vertices: NDArray, begin: NDArray, end: NDArray) -> ND
     if len(vertices) == 0:
         return np.zeros(0, dtype=bool)
     hit = met_faces(scene, begin, end)
-    return np.asarray((hit >= 0) & (scene.faces[np.maximum(hit, 0)] == vertices[:, None]).any(axis=1))
+    return np.asarray((hit >= 0) & (scene.faces[np.maximum(hit, 0)] == scene.fronts[vertices][:, None]).any(axis=1))
 
 
 def _choose_sides(surroundings: Surroundings, vertices: NDArray) -> PointsAbove:
@@ -145,8 +145,6 @@ def _choose_sides(surroundings: Surroundings, vertices: NDArray) -> PointsAbove:
 
 def _look_around(scene: Scene, origins: NDArray, axes: NDArray, near: NDArray) -> tuple[NDArray, NDArray]:
     """(n,) parts of the hemispheres about axes that show the sky; and that show backs of surfaces, or what is near."""
-    import drjit as dr
-
     mi = scene.mi
     local = hemisphere_fibonacci(_DIRECTIONS)
     sky, closed = np.zeros(len(axes)), np.zeros(len(axes))
@@ -158,7 +156,7 @@ def _look_around(scene: Scene, origins: NDArray, axes: NDArray, near: NDArray) -
         ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(world.T.astype(np.float32)))
         hit = scene.geometry.ray_intersect(ray, mi.RayFlags.Minimal, True)
         valid = hit.is_valid()
-        shut = valid & ((dr.dot(hit.n, ray.d) > 0.0) | (hit.t < mi.Float(nearest.astype(np.float32))))
+        shut = scene.meets_dark_back(hit, ray.d) | (valid & (hit.t < mi.Float(nearest.astype(np.float32))))
         sky[block] = 1.0 - np.array(valid).reshape(-1, _DIRECTIONS).mean(axis=1)
         closed[block] = np.array(shut).reshape(-1, _DIRECTIONS).mean(axis=1)
     return sky, closed

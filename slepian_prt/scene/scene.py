@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -67,7 +68,7 @@ class Scene:
     first_faces : tuple of int
         Where the faces of each receiver begin.
     two_sided : tuple of bool
-        Whether the back of each receiver reflects light.
+        Whether the back of each receiver reflects light; which backs are receivers too, ``parts`` tell.
     has_materials : bool
         Whether the albedo is known; a mesh file without materials and colours says nothing about it.
     view : View or None
@@ -80,6 +81,10 @@ class Scene:
         What the scene has and transport here leaves out.
     loaded : Mitsuba scene or None
         As its author has it, where it is one: its lamps, and the shapes before they were cut into vertices.
+    groups : tuple
+        Mitsuba's groups of the shapes that instances among ``shapes`` stand for.
+    coarseness : float
+        How many times longer than wanted the longest edge is that could not be cut, or 1.
     """
 
     mi: Any
@@ -98,6 +103,8 @@ class Scene:
     environment: Environment | None
     not_simulated: tuple[LeftOut, ...] = ()
     loaded: Any = None
+    groups: tuple[Any, ...] = ()
+    coarseness: float = 1.0
 
     @property
     def receivers(self) -> Receivers:
@@ -126,15 +133,48 @@ class Scene:
             first[number] = face
         return mi.Int32(first)
 
+    @cached_property
+    def faces_behind(self) -> NDArray[np.int32]:
+        """(F', 3) as ``faces``, of the vertices that receive light behind; -1 where light is computed in front only."""
+        none = np.broadcast_to(np.int32(-1), self.faces.shape)
+        if all(part.sides == 1 for part in self.parts):
+            return none
+        behind = none.copy()
+        ends = (*self.first_faces[1:], len(self.faces))
+        for part, first, end in zip(self.parts, self.first_faces, ends, strict=True):
+            if part.sides == 2:
+                behind[first:end] = self.faces[first:end] + part.count
+        return behind
+
+    @cached_property
+    def fronts(self) -> NDArray[np.int64]:
+        """(V,) for each vertex the one on the front of the surface at its place: itself, unless it is one of a back."""
+        fronts = np.arange(len(self.mesh.positions))
+        for part in self.parts:
+            if part.sides == 2:
+                fronts[part.first + part.count : part.end] -= part.count
+        return fronts
+
     def hit_faces(self, hit: Any) -> Any:
         """Rows of ``faces`` that rays met (a preliminary intersection); negative for occluders and the sky."""
         import drjit as dr
 
         mi = self.mi
-        valid = hit.is_valid()
+        valid = hit.is_valid() & (hit.instance == None)  # noqa: E711 (of an instance the shape is one of its group)
         number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
         first = dr.gather(mi.Int32, self._first_face, number, valid)
         return dr.select(valid & (first >= 0), first + mi.Int32(hit.prim_index), -1)
+
+    def meets_dark_back(self, hit: Any, direction: Any) -> Any:
+        """Whether rays met the back of a surface (a surface interaction), and none that light is computed on."""
+        import drjit as dr
+
+        back = hit.is_valid() & (dr.dot(hit.n, direction) > 0.0)
+        if all(part.sides == 1 for part in self.parts):
+            return back
+        face = self.hit_faces(hit)
+        holds_light = self.mi.Bool(self.faces_behind[:, 0] >= 0)
+        return back & ~dr.gather(self.mi.Bool, holds_light, face, back & (face >= 0))
 
     @property
     def occluders(self) -> tuple[Any, ...]:
@@ -183,8 +223,13 @@ def mitsuba_scene(scene: Scene, **others: Any) -> Any:
     Embree's robust mode costs about a fifth of the speed. Without it rays slip between triangles, one in a million on a
     scan, and one in four where a model is 1e-8 of the size of the floor under it.
     """
-    mi = scene.mi
+    return traced_scene(scene.mi, scene.shapes, scene.groups, **others)
+
+
+def traced_scene(mi: Any, shapes: Sequence[Any], groups: Sequence[Any], **others: Any) -> Any:
+    """As `mitsuba_scene`, of shapes and the groups that instances among them stand for."""
     if mi.variant().startswith("llvm_"):
         others = {"embree_use_robust_intersections": True, **others}
-    shapes = {f"shape_{i}": shape for i, shape in enumerate(scene.shapes)}
-    return mi.load_dict({"type": "scene", **shapes, **others})
+    objects = {f"group_{i}": group for i, group in enumerate(groups)}
+    objects |= {f"shape_{i}": shape for i, shape in enumerate(shapes)}
+    return mi.load_dict({"type": "scene", **objects, **others})

@@ -45,7 +45,7 @@ class Gather:
     weights : sparse (n, V)
         How much of the hemisphere of each of ``rows``, cosine-weighted, shows what vertex.
     backs : float
-        Mean part of the hemisphere that shows the back of a receiver, on which no light is known.
+        Mean part of the hemisphere that shows backs of receivers that reflect, on which no light is known.
     others : float
         Mean part that shows shapes which only cast shadows.
     rays : int
@@ -188,7 +188,7 @@ class _GatherBlock(NamedTuple):
     ----------
     weights : sparse (n, V)
     backs, others : float
-        Sums over the block of what shows backs of receivers, and what shows shapes that only cast shadows.
+        Sums over the block of what shows backs that reflect and hold no light, and shapes that only cast shadows.
     """
 
     weights: csr_array
@@ -203,7 +203,8 @@ class _Gatherer(HemisphereRays):
         mi = scene.mi
 
         super().__init__(scene, directions, seed)
-        self._faces = scene.faces
+        self._faces, self._behind = scene.faces, scene.faces_behind
+        self._reflects_behind = np.repeat(np.array(scene.two_sided), np.diff([*scene.first_faces, len(scene.faces)]))
         corners = scene.traced_positions[scene.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self._face_normals = mi.Vector3f(normals.T.astype(np.float32))
@@ -223,20 +224,22 @@ class _Gatherer(HemisphereRays):
         u, v = hit.prim_uv
         dr.eval(valid, receives, front, face, u, v)
         weight = np.tile(directions.weights.astype(np.float32), count)
-        is_hit, is_receiver, is_front = (np.array(mask) for mask in (valid, receives, front))
+        is_hit, is_receiver, is_front, met = (np.array(values) for values in (valid, receives, front, face))
+        met = np.maximum(met, 0)
+        holds_light = is_front | (is_receiver & (self._behind[met, 0] >= 0))
         scale = np.ones(count, dtype=np.float32)
         if blocked is not None:
             measured = np.add.reduceat(np.where(is_hit, weight, 0.0), np.arange(0, is_hit.size, directions.size))
             scale = np.where(measured > 0.0, blocked / np.maximum(measured, 1e-9), 1.0).astype(np.float32)
-        lane = np.flatnonzero(is_front)
+        lane = np.flatnonzero(holds_light)
         row = lane // directions.size
         share = weight[lane] * scale[row]
         second, third = np.array(u)[lane], np.array(v)[lane]
         values = np.stack([share * (1.0 - second - third), share * second, share * third], axis=1)
-        corner = self._faces[np.array(face)[lane]]
+        corner = np.where(is_front[lane, None], self._faces[met[lane]], self._behind[met[lane]])
         places = (np.repeat(row, 3).astype(np.int32), corner.ravel())
         return _GatherBlock(
             csr_array((values.ravel(), places), shape=(count, len(self._normals))),
-            float(weight[is_receiver & ~is_front].sum()),
+            float(weight[is_receiver & ~holds_light & self._reflects_behind[met]].sum()),
             float(weight[is_hit & ~is_receiver].sum()),
         )

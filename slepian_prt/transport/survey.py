@@ -56,7 +56,7 @@ class PilotVisibility:
         Parts of the hemisphere, cosine-weighted: that show surfaces; the same, times the albedo of what is seen; and
         the largest difference between colour channels of that.
     backs : float
-        The part that shows the backs of receivers.
+        The part that shows backs of receivers that reflect and hold no light.
     changes : float
         Edges of the direction set along which visibility changes, over the root of its nodes.
     between : float
@@ -140,8 +140,8 @@ class _Decisions:
             colour = self._colour(bounces)
             channels = 3 if colour.verdict == SIMULATED else 1
             rows += [colour, self._tail()]
-        if bounces and self._pilot.backs > TOLERANCE and any(self._scene.two_sided):
-            name, reason = "light reflected by the backs of surfaces", "vertices carry light on their front only"
+        if bounces and self._pilot.backs > TOLERANCE:
+            name, reason = "light reflected by the backs of surfaces", "their vertices carry light on the front only"
             rows.append(Effect(name, NOT_SIMULATED, self._pilot.backs, None, 0, reason))
         if self._pilot.between > _BETWEEN:
             rows.append(self._between())
@@ -229,9 +229,15 @@ class _Decisions:
         return Effect("glossy reflection", SIMULATED, None, None, rays, reason)
 
     def _between(self) -> Effect:
+        coarseness = self._scene.coarseness
+        left = (
+            f"edges are up to {coarseness:.2g} times as long as they should be, as more vertices would be too many"
+            if coarseness > 1.0
+            else "subdivide the faces to see more of it"
+        )
         reason = (
             f"{len(self._scene.receivers)} vertices, and light is computed at vertices: what is interpolated between "
-            "them is off by this relative RMS; subdivide the faces to see more of it"
+            f"them is off by this relative RMS; {left}"
         )
         return Effect("light between vertices", NOT_SIMULATED, self._pilot.between, None, 0, reason)
 

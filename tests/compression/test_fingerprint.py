@@ -1,12 +1,15 @@
 """Finished work is found again by all that it depends on, whatever the shapes of a scene."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from slepian_prt.compression.fingerprint import shape_arrays
+from slepian_prt.compression.fingerprint import fingerprint, shape_arrays
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import precompute_compressed
 from slepian_prt.renderer.variants import mitsuba
+from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 
 # A hair over a floor, with its middle here or there inside the same box.
@@ -67,3 +70,19 @@ def test_a_curve_shades_what_is_lit(tmp_path, hair):
     packed = precompute_compressed(tmp_path / "scene.xml", settings, TransportSettings(3, 64))
     assert packed.effects[0].name == "shadows"
     assert packed.effects[0].contribution > 0.0
+
+
+def test_what_instances_are_made_of_counts(tmp_path):
+    """A hair in a group, with its middle here or there inside the same box."""
+    floor = '<shape type="rectangle"><bsdf type="diffuse"/></shape>'
+    curve = '<shape type="bsplinecurve"><string name="filename" value="hair.txt"/></shape>'
+    group = f'<shape type="shapegroup" id="g">{curve}</shape><shape type="instance"><ref id="g"/></shape>'
+    path = tmp_path / "scene.xml"
+    path.write_text(f'<scene version="3.0.0">{floor}{group}</scene>')
+    learned = SimpleNamespace(clusters=SimpleNamespace(index=np.zeros(1)), pilot=None)
+    found = []
+    for middle in (0.2, 0.2, 0.3):
+        (tmp_path / "hair.txt").write_text(HAIR.format(middle))
+        with plan_scene(path, TransportSettings(1, 16)) as planned:
+            found.append(fingerprint(planned, SimpleNamespace(learned=learned, bases=[])))
+    assert found[0] == found[1] != found[2]

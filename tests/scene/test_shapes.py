@@ -251,13 +251,6 @@ def test_blends_with_metal(tmp_path):
         np.testing.assert_allclose(scene.mesh.albedo, 0.6 * 0.5, atol=1e-6)
 
 
-def test_instances_are_named(tmp_path):
-    body = """<shape type="shapegroup" id="g"><shape type="sphere"><bsdf type="diffuse"/></shape></shape>
-      <shape type="instance" id="i"><ref id="g"/></shape><shape type="rectangle"><bsdf type="diffuse"/></shape>"""
-    effects = precompute(write(tmp_path, body), 1, 16).effects
-    assert any("instance" in effect.name and "left out" in effect.reason for effect in effects)
-
-
 @pytest.mark.parametrize(
     ("body", "message"),
     [
