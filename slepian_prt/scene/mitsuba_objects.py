@@ -1,0 +1,74 @@
+"""Mitsuba's objects as they are in memory: scenes and shapes that the user has loaded, and uses afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from slepian_prt.errors import UserError
+
+
+def is_of_mitsuba(thing: Any) -> bool:
+    """Whether it is an object of Mitsuba; Mitsuba itself is not imported."""
+    return any((kind.__module__, kind.__name__) == ("mitsuba", "Object") for kind in type(thing).__mro__)
+
+
+def live_objects(thing: Any) -> list[Any]:
+    """Mitsuba's objects in a dict, or the one given, if they belong to a variant."""
+    if isinstance(thing, dict):
+        return [found for value in thing.values() for found in live_objects(value)]
+    return [thing] if is_of_mitsuba(thing) and thing.variant_name() else []
+
+
+def variant_of(thing: Any) -> str | None:
+    """The variant that an object, or what a dict holds of them, was made in; None for a mere description.
+
+    Raises
+    ------
+    UserError
+        Objects of several variants.
+    """
+    variants = sorted({found.variant_name() for found in live_objects(thing)})
+    if len(variants) > 1:
+        raise UserError(f"scene: its objects are of different variants, {', '.join(variants)}; make them all in one")
+    return variants[0] if variants else None
+
+
+def scene_of(mi: Any, thing: Any, origin: str) -> Any:
+    """A Mitsuba scene, or one that is made of a shape.
+
+    Raises
+    ------
+    UserError
+        Something else.
+    """
+    if isinstance(thing, mi.Scene):
+        return thing
+    shapes = thing if isinstance(thing, list) else [thing]
+    if all(isinstance(shape, mi.Shape) for shape in shapes):
+        with names_kept(shapes):
+            named = {f"shape_{number}": shape for number, shape in enumerate(shapes)}
+            return mi.load_dict({"type": "scene", **named}, optimize=False)
+    kind = "several objects" if isinstance(thing, list) else f"a {type(thing).__name__}"
+    raise UserError(f"{origin}: is {kind} of Mitsuba, and light needs surfaces; give a scene or a shape")
+
+
+@contextmanager
+def names_kept(things: Iterable[Any]) -> Iterator[None]:
+    """The ids of objects as they were before: Mitsuba's dicts give them others."""
+    before = [(thing, thing.id()) for thing in things]
+    try:
+        yield
+    finally:
+        for thing, name in before:
+            thing.set_id(name)
+
+
+def parts_of(thing: Any) -> list[Any]:
+    """What a scene is made of, or what a dict holds, or the one object."""
+    found = []
+    for each in live_objects(thing):
+        is_scene = type(each).__name__ == "Scene"
+        found += [*each.shapes(), *each.emitters(), *each.sensors()] if is_scene else [each]
+    return found
