@@ -75,18 +75,20 @@ def open_scene(
     """
     if is_of_trimesh(source):
         source = mesh_from_trimesh(source)
-    if isinstance(source, dict) or is_of_mitsuba(source):
+    if isinstance(source, dict):
         source_name = "scene"
+    elif is_of_mitsuba(source):
+        source_name = source.id() or "scene"
     elif isinstance(source, str | Path | Mesh):
         source_name = source.name if isinstance(source, Mesh) else str(source)
     else:
         raise UserError(
-            "the scene must be the path of a file, a Mesh, a mesh or scene of trimesh, or a scene, a shape or a dict "
-            f"of Mitsuba, not a {type(source).__name__}"
+            "the scene must be the path of a file, a Mesh, or a mesh or scene of trimesh or of Mitsuba (its dict, or a "
+            f"shape, too), not a {type(source).__name__}"
         )
     is_xml = isinstance(source, str | Path) and Path(source).suffix.lower() == ".xml"
     if parameters and not is_xml:
-        raise UserError(f"{source_name}: `parameters` are those of a Mitsuba .xml scene; leave them out")
+        raise UserError(f"{source_name}: is no Mitsuba .xml scene, which alone takes `parameters`; leave them out")
     if not is_xml and isinstance(source, str | Path | Mesh):
         yield from _open_mesh(source, source_name, albedo, view, crease_angle)
         return
@@ -186,12 +188,12 @@ def _remark_on_coordinates(loaded: Any, origin: str) -> None:
     ]
     if names:
         listed = ", ".join(f"'{name}'" for name in names[:3]) + (", …" if len(names) > 3 else "")
+        subject = f"shape {listed} has" if len(names) == 1 else f"{len(names)} shapes ({listed}) have"
         log.info(
-            "%s: %d shapes (%s) have a texture and no texture coordinates, so that each face shows a triangle of it; "
-            "give the meshes coordinates",
+            "%s: %s a texture and no texture coordinates, so that each face shows a triangle of it; give the mesh "
+            "coordinates",
             origin,
-            len(names),
-            listed,
+            subject,
         )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.mitsuba_errors import load_failure, unused_parameters
-from slepian_prt.scene.mitsuba_objects import live_objects, scene_of
+from slepian_prt.scene.mitsuba_objects import is_of_mitsuba, live_objects, scene_of
 from slepian_prt.scene.recentering import far_center, move_scene
 
 log = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ class _Source:
 
 
 def load_xml(
-    mi: Any, path: Path, parameters: Mapping[str, str], *, needs_camera: bool
+    mi: Any, path: Path, parameters: Mapping[str, str] | None = None, *, needs_camera: bool = False
 ) -> tuple[Any, NDArray[np.float64]]:
     """A scene from an .xml file, unoptimised: merged shapes lose their names, and rectangles their resolution.
 
@@ -58,7 +58,7 @@ def load_xml(
     ----------
     mi : Mitsuba
     path : path
-    parameters : dict of str to str
+    parameters : dict of str to str, optional
         Values of the scene's ``$name``.
     needs_camera : bool
         Whether its cameras must be there; else they are left out, with a remark, where they cannot be loaded.
@@ -74,6 +74,7 @@ def load_xml(
     UserError
         What Mitsuba cannot load, with file and line; a parameter that is missing or that the scene does not have.
     """
+    parameters = parameters or {}
     if taken := [name for name in _TAKEN if name in parameters]:
         raise UserError(f"{path}: Mitsuba takes no parameter ${taken[0]} from outside; rename it in the scene")
 
@@ -90,7 +91,7 @@ def load_xml(
     return _load(mi, _Source(str(path), path.parent, parse), needs_camera=needs_camera)
 
 
-def load_dict(mi: Any, description: dict[str, Any], *, needs_camera: bool) -> tuple[Any, NDArray[np.float64]]:
+def load_dict(mi: Any, description: dict[str, Any], *, needs_camera: bool = False) -> tuple[Any, NDArray[np.float64]]:
     """A scene from a dict as of ``mi.load_dict``; as `load_xml`."""
     movable = not live_objects(description)
     source = _Source("scene", None, lambda config: mi.parser.parse_dict(config, description), movable)
@@ -110,7 +111,7 @@ def silent(mi: Any) -> Iterator[None]:
 
 def _load(mi: Any, source: _Source, *, needs_camera: bool) -> tuple[Any, NDArray[np.float64]]:
     left_out: tuple[str, ...] = ("Integrator",)
-    with _looking_in(mi, source.folder):
+    with silent(mi), _looking_in(mi, source.folder):
         state = _parsed(mi, source)
         _take_out(mi, state, *left_out)
         try:
@@ -158,7 +159,29 @@ def _parsed(mi: Any, source: _Source) -> Any:
         raise
     except Exception as error:  # whatever Mitsuba's parser raises
         raise load_failure(error, source.origin, mi.variant()) from None
+    _check_groups(mi, state, source.origin)
     return state
+
+
+def _check_groups(mi: Any, state: Any, origin: str) -> None:
+    """Raise UserError for an instance of nothing: with it Mitsuba cannot trace a single ray."""
+    for node in state.nodes:
+        if node.props.plugin_name() != "instance":
+            continue
+        for group in _references(mi, state, node):
+            things = [group.props[name] for name in group.props]
+            if group.props.plugin_name() == "shapegroup" and not any(
+                isinstance(thing, mi.Properties.ResolvedReference) or is_of_mitsuba(thing) for thing in things
+            ):
+                place = mi.parser.file_location(state, node)
+                reason = ValueError(f"At {place}: the shapegroup of this instance holds no shapes")
+                raise load_failure(reason, origin, mi.variant())
+
+
+def _references(mi: Any, state: Any, node: Any) -> list[Any]:
+    """The nodes that one refers to."""
+    values = [node.props[name] for name in node.props]
+    return [state.nodes[value.index()] for value in values if isinstance(value, mi.Properties.ResolvedReference)]
 
 
 def _made(mi: Any, state: Any, origin: str) -> Any:
@@ -206,7 +229,7 @@ def _no_such_parameters(origin: str, unused: list[str], files: list[Any]) -> Use
     """The parameters that a scene does not have, with those that it has."""
     texts = [Path(str(file)).read_text(errors="replace") for file in files]
     used = {name for text in texts for name in re.findall(r"(?<!\\)\$(\w+)", text)}
-    known = ", ".join(f"${name}" for name in sorted(used)) or "none"
+    known = ", ".join(f"${name}" for name in sorted(used)) or "no parameters"
     several = "s" if len(unused) > 1 else ""
     listed = ", ".join(f"${name}" for name in unused)
-    return UserError(f"{origin}: has no parameter{several} {listed}; `parameters` may be of these: {known}")
+    return UserError(f"{origin}: has no parameter{several} {listed} that `parameters` could set; it has {known}")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeGuard
 
 from slepian_prt.errors import UserError
 
 
-def is_of_mitsuba(thing: Any) -> bool:
+def is_of_mitsuba(thing: Any) -> TypeGuard[Any]:
     """Whether it is an object of Mitsuba; Mitsuba itself is not imported."""
     return any((kind.__module__, kind.__name__) == ("mitsuba", "Object") for kind in type(thing).__mro__)
 
