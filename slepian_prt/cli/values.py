@@ -102,7 +102,7 @@ class Parameter(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
         name, equals, text = value.partition("=")
         if not equals or not name:
-            raise UserError(f"`parameters` must be given as NAME=VALUE, not {value!r}")
+            raise UserError(f"-D must be NAME=VALUE, not {value!r}")
         return name, text
 
 
@@ -112,7 +112,7 @@ def as_dict(
     """Pairs as a dict, None if there are none; raise UserError for a name that is given twice."""
     for number, (name, _) in enumerate(pairs):
         if name in dict(pairs[:number]):
-            raise UserError(f"`parameters` has {name!r} twice; give it once")
+            raise UserError(f"-D {name} is given twice; give it once")
     return dict(pairs) or None
 
 

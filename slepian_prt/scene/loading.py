@@ -88,7 +88,7 @@ def open_scene(
         )
     is_xml = isinstance(source, str | Path) and Path(source).suffix.lower() == ".xml"
     if parameters and not is_xml:
-        raise UserError(f"{source_name}: is no Mitsuba .xml scene, which alone takes `parameters`; leave them out")
+        raise UserError(f"{source_name}: is no Mitsuba .xml scene, and no other takes parameters; leave them out")
     if not is_xml and isinstance(source, str | Path | Mesh):
         yield from _open_mesh(source, source_name, albedo, view, crease_angle)
         return

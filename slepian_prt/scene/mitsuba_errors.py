@@ -61,7 +61,12 @@ class _Place(NamedTuple):
 
 
 def load_failure(
-    error: Exception, origin: str, variant: str, file_at: Callable[[str], str | None] = lambda _: None
+    error: Exception,
+    origin: str,
+    variant: str,
+    file_at: Callable[[str], str | None] = lambda _: None,
+    *,
+    in_dict: bool = False,
 ) -> UserError:
     """Why a scene cannot be loaded, from what Mitsuba raised.
 
@@ -74,12 +79,15 @@ def load_failure(
         Of Mitsuba.
     file_at : callable
         Gives the file that is named at a place of the scene, as Mitsuba writes the place.
+    in_dict : bool
+        Whether the scene is a dict, of which Mitsuba puts keys into brackets.
     """
     text = " ".join(_SOURCE.sub("", str(error)).split()) or type(error).__name__
-    place, said = _split(text, origin)
+    place, said = _split(text, origin, in_dict=in_dict)
     if undefined := _UNDEFINED.search(said):
         name, where = undefined["name"], f" ({place.shown})" if place.shown else ""
-        return UserError(f"{origin}: its parameter ${name}{where} has no value; give `parameters={{'{name}': …}}`")
+        wanted = f"parameters={{'{name}': …}}"
+        return UserError(f"{origin}: its parameter ${name}{where} has no value; give `{wanted}`")
     plugin = _PLUGIN.match(said)
     why = _meaning(plugin["why"] if plugin else said, variant)
     if plugin:
@@ -97,7 +105,7 @@ def unused_parameters(error: Exception) -> list[str]:
     return _NAMED.findall(text) if _UNUSED.match(text) else []
 
 
-def _split(text: str, origin: str) -> tuple[_Place, str]:
+def _split(text: str, origin: str, *, in_dict: bool) -> tuple[_Place, str]:
     """Where it is, and what is said of it."""
     if places := list(_PLACE.finditer(text)):
         last = places[-1]
@@ -106,7 +114,7 @@ def _split(text: str, origin: str) -> tuple[_Place, str]:
             return _Place("" if last["node"] == "root" else f"'{last['node']}'", ""), said
         file = "" if last["file"] == origin else f"{last['file']}, "
         return _Place(f"{file}line {last['line']}", last["place"]), said
-    if node := _NODE.match(text):
+    if in_dict and (node := _NODE.match(text)):
         return _Place(f"'{node['node']}'", ""), text[node.end() :]
     return _Place("", ""), text
 

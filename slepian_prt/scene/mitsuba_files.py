@@ -36,7 +36,7 @@ class _Source:
     origin : str
         For messages.
     folder : path or None
-        Where relative names of files are looked for first.
+        Where relative names of files are looked for first; a dict has none.
     parse : callable
         Gives Mitsuba's parsed scene for a configuration, a new one each time: what is made of it is spent.
     movable : bool
@@ -158,7 +158,7 @@ def _parsed(mi: Any, source: _Source) -> Any:
     except UserError:
         raise
     except Exception as error:  # whatever Mitsuba's parser raises
-        raise load_failure(error, source.origin, mi.variant()) from None
+        raise load_failure(error, source.origin, mi.variant(), in_dict=source.folder is None) from None
     _check_groups(mi, state, source.origin)
     return state
 
@@ -232,4 +232,4 @@ def _no_such_parameters(origin: str, unused: list[str], files: list[Any]) -> Use
     known = ", ".join(f"${name}" for name in sorted(used)) or "no parameters"
     several = "s" if len(unused) > 1 else ""
     listed = ", ".join(f"${name}" for name in unused)
-    return UserError(f"{origin}: has no parameter{several} {listed} that `parameters` could set; it has {known}")
+    return UserError(f"{origin}: has no parameter{several} {listed}; it has {known}")
