@@ -254,6 +254,15 @@ def test_a_texture_on_a_mesh_without_coordinates_is_remarked_on(scene, damaged, 
     ]
 
 
+def test_warnings_of_mitsuba_stay_out_of_the_output(scene, capfd):
+    """They go to standard output, where the plan does: of a number of samples, of a sphere that is no sphere."""
+    sampler = '<sampler type="multijitter"><integer name="sample_count" value="17"/></sampler>'
+    stretched = '<shape type="sphere"><transform name="to_world"><scale x="2"/></transform></shape>'
+    with open_scene(scene(CAMERA.format(sampler) + stretched)):
+        pass
+    assert capfd.readouterr() == ("", "")
+
+
 def test_the_log_of_mitsuba_is_as_before(scene):
     mi = bitmap_module()
     level = mi.log_level()

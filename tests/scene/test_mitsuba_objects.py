@@ -86,6 +86,8 @@ def test_a_scene_in_memory_counts_as_it_is_now(mi):
     with open_scene(scene) as opened:
         (ball,) = (part for part in opened.parts if part.name == "ball")
         albedo = opened.mesh.albedo[ball.first : ball.end]
+        points = dr.zeros(mi.SurfaceInteraction3f, 4)
+        assert not dr.grad_enabled(scene.shapes()[1].bsdf().eval_diffuse_reflectance(points))  # nothing is recorded
     np.testing.assert_allclose(albedo, np.tile([0.2, 0.4, 0.8], (len(albedo), 1)), rtol=1e-6)
     assert dr.grad_enabled(parameters["ball.bsdf.reflectance.value"])
 
@@ -114,11 +116,11 @@ def test_a_dict_is_the_scene_that_it_describes(mi, tmp_path):
 
 def test_a_dict_far_from_the_origin_is_moved(mi):
     far = [5e6, 0.0, 100.0]
-    with open_scene({"type": "scene", "ball": {"type": "sphere", "center": far}}) as opened:
-        np.testing.assert_allclose(opened.origin, far)
-        np.testing.assert_allclose(np.linalg.norm(opened.mesh.positions - far, axis=1), 1.0, atol=1e-6)
-    with open_scene({"type": "sphere", "center": far}) as opened:
-        np.testing.assert_allclose(opened.origin, far)
+    ball = {"type": "sphere", "center": far}
+    for description in ({"type": "scene", "ball": ball}, ball):
+        with open_scene(description) as opened:
+            np.testing.assert_allclose(opened.origin, far)
+            np.testing.assert_allclose(np.linalg.norm(opened.mesh.positions - far, axis=1), 1.0, atol=1e-6)
 
 
 def test_a_dict_that_holds_shapes_is_not_moved(mi):
@@ -156,9 +158,10 @@ def test_the_names_of_shapes_alone(mi):
 # --- Variants --------------------------------------------------------------------------------------------------------
 
 
-def test_the_variant_of_a_scene_is_used_and_that_of_the_user_comes_back(mi):
+def test_the_variant_of_a_scene_is_used_and_that_of_the_user_comes_back(mi, monkeypatch):
     scene, variant = mi.load_dict(described(mi)), mi.variant()
     mi.set_variant("scalar_rgb")
+    monkeypatch.setattr("slepian_prt.renderer.variants.usable_variant", lambda: "another")
     with open_scene(scene) as opened:
         assert opened.mi.variant() == variant
     assert mi.variant() == "scalar_rgb"
