@@ -105,7 +105,7 @@ def _open_mitsuba(
     source: SceneSource, name: str, view: str | int | None, parameters: dict[str, str]
 ) -> Iterator[Scene]:
     """A scene of Mitsuba: a file, a dict, or objects."""
-    with mitsuba(variant_of(source)) as mi, names_kept(parts_of(source)), _without_gradients():
+    with mitsuba(variant_of(source)) as mi, names_kept(parts_of(mi, source)), _without_gradients():
         with silent(mi):
             origin = np.zeros(3)
             if isinstance(source, dict):

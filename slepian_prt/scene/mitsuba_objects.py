@@ -65,10 +65,12 @@ def names_kept(things: Iterable[Any]) -> Iterator[None]:
             thing.set_id(name)
 
 
-def parts_of(thing: Any) -> list[Any]:
-    """What a scene is made of, or what a dict holds, or the one object."""
-    found = []
-    for each in live_objects(thing):
-        is_scene = type(each).__name__ == "Scene"
-        found += [*each.shapes(), *each.emitters(), *each.sensors()] if is_scene else [each]
+def parts_of(mi: Any, thing: Any) -> list[Any]:
+    """What a scene is made of, or what a dict holds, or the one object; shapes in groups, too."""
+    found = live_objects(thing)
+    for scene in [each for each in found if isinstance(each, mi.Scene)]:
+        found += [*scene.shapes(), *scene.emitters(), *scene.sensors()]
+    if any(each.class_name() in ("Instance", "ShapeGroup") for each in found):
+        # No list of what is in groups is to be had, only its parameters, each with the object that it belongs to.
+        found += [entry[2] for each in live_objects(thing) for entry in mi.traverse(each).properties.values()]
     return found

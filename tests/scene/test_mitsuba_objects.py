@@ -155,6 +155,24 @@ def test_the_names_of_shapes_alone(mi):
         assert disk.id() == name
 
 
+def test_shapes_in_groups_keep_their_names(mi):
+    """Groups do not list what they are made of; the keys of parameters tell."""
+    moved = mi.ScalarTransform4f().translate([3, 0, 0])
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "balls": {"type": "shapegroup", "small": {"type": "sphere"}, "box": {"type": "cube", "to_world": moved}},
+            "copy": {"type": "instance", "group": {"type": "ref", "id": "balls"}, "to_world": moved},
+            "floor": {"type": "disk"},
+        },
+        optimize=False,
+    )
+    keys = list(mi.traverse(scene).keys())
+    assert "balls.small.to_world" in keys
+    sp.precompute(scene, **SMALL)
+    assert list(mi.traverse(scene).keys()) == keys
+
+
 # --- Variants --------------------------------------------------------------------------------------------------------
 
 
