@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import numbers
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -20,8 +19,9 @@ from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.mitsuba_files import load_dict, load_xml, silent
-from slepian_prt.scene.mitsuba_objects import is_of_mitsuba, names_kept, parts_of, scene_of, variant_of
+from slepian_prt.scene.mitsuba_objects import is_of_mitsuba, left_usable, parts_of, scene_of, variant_of
 from slepian_prt.scene.mitsuba_scenes import scene_from_mitsuba
+from slepian_prt.scene.parameters import scene_parameters
 from slepian_prt.scene.recentering import coarse_receivers
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.shapes import mitsuba_mesh
@@ -105,7 +105,7 @@ def _open_mitsuba(
     source: SceneSource, name: str, view: str | int | None, parameters: dict[str, str]
 ) -> Iterator[Scene]:
     """A scene of Mitsuba: a file, a dict, or objects."""
-    with mitsuba(variant_of(source)) as mi, names_kept(parts_of(mi, source)), _without_gradients():
+    with mitsuba(variant_of(source)) as mi, left_usable(mi, parts_of(mi, source)), _without_gradients():
         with silent(mi):
             origin = np.zeros(3)
             if isinstance(source, dict):
@@ -152,31 +152,6 @@ def may_have_light(source: SceneSource) -> bool:
     if isinstance(source, str | Path):
         return Path(source).suffix.lower() == ".xml"
     return isinstance(source, dict) or is_of_mitsuba(source)
-
-
-def scene_parameters(parameters: Mapping[str, object] | None) -> dict[str, str]:
-    """Values of a scene's ``$name`` as they are written in XML.
-
-    Raises
-    ------
-    UserError
-        No dict of names, or a value that is no number, bool or str.
-    """
-    if parameters is None:
-        return {}
-    if not isinstance(parameters, Mapping):
-        raise UserError(f"parameters must be a dict of names and values, not {parameters!r}")
-    written = {}
-    for name, value in parameters.items():
-        if not isinstance(name, str) or not re.fullmatch(r"\w+", name):
-            raise UserError(f"parameters must have names of letters, digits and underscores, not {name!r}")
-        if isinstance(value, bool | np.bool_):
-            written[name] = "true" if value else "false"
-        elif isinstance(value, str | Path | numbers.Real):
-            written[name] = str(value)
-        else:
-            raise UserError(f"parameters must be numbers, booleans or strings; {name!r} is {value!r}")
-    return written
 
 
 def _remark_on_coordinates(loaded: Any, origin: str) -> None:

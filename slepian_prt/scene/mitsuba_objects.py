@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TypeGuard
 
@@ -47,22 +47,37 @@ def scene_of(mi: Any, thing: Any, origin: str) -> Any:
         return thing
     shapes = thing if isinstance(thing, list) else [thing]
     if all(isinstance(shape, mi.Shape) for shape in shapes):
-        with names_kept(shapes):
-            named = {f"shape_{number}": shape for number, shape in enumerate(shapes)}
-            return mi.load_dict({"type": "scene", **named}, optimize=False)
+        named = {f"shape_{number}": shape for number, shape in enumerate(shapes)}
+        before = [shape.id() for shape in shapes]
+        made = mi.load_dict({"type": "scene", **named}, optimize=False)
+        for shape, name in zip(shapes, before, strict=True):
+            shape.set_id(name)
+        return made
     kind = "several objects" if isinstance(thing, list) else f"a {type(thing).__name__}"
     raise UserError(f"{origin}: is {kind} of Mitsuba, and light needs surfaces; give a scene or a shape")
 
 
+# A mesh has a bare pointer to the scene that it was last put into, and one that shines by a texture follows it when it
+# is changed: by mesh, a scene that stays.
+_LAST_SCENES: dict[Any, Any] = {}
+
+
 @contextmanager
-def names_kept(things: Iterable[Any]) -> Iterator[None]:
-    """The ids of objects as they were before: Mitsuba's dicts give them others."""
+def left_usable(mi: Any, things: list[Any]) -> Iterator[None]:
+    """Objects that scenes of ours are made of for a while can be used afterwards, under the ids that they had."""
     before = [(thing, thing.id()) for thing in things]
     try:
         yield
     finally:
+        for thing in things:
+            if isinstance(thing, mi.Mesh) and _shines_by_a_texture(mi, thing):
+                _LAST_SCENES[thing] = mi.load_dict({"type": "scene", "mesh": thing})
         for thing, name in before:
             thing.set_id(name)
+
+
+def _shines_by_a_texture(mi: Any, shape: Any) -> bool:
+    return shape.is_emitter() and bool(mi.has_flag(shape.emitter().flags(), mi.EmitterFlags.SpatiallyVarying))
 
 
 def parts_of(mi: Any, thing: Any) -> list[Any]:

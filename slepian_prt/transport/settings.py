@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from slepian_prt.errors import check_bandlimit, check_integer
-from slepian_prt.scene.loading import scene_parameters
 from slepian_prt.scene.mesh_files import check_crease_angle
+from slepian_prt.scene.parameters import scene_parameters
 from slepian_prt.transport.effects import wanted_effects
 
 LARGEST_BANDLIMIT = 50

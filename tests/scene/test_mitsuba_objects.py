@@ -1,5 +1,8 @@
 """Scenes and shapes of Mitsuba in memory, and dicts: used as they are, and the same afterwards."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -129,6 +132,7 @@ def test_a_dict_that_holds_shapes_is_not_moved(mi):
     description = {"type": "scene", "one": ball, "other": {"type": "sphere", "center": [1000.0, 0.0, 3.0]}}
     with open_scene(description) as opened:
         places = [opened.mesh.positions[part.first : part.end] for part in opened.parts]
+    assert ball.id() == ""
     middle = [0.5 * (points.min(axis=0) + points.max(axis=0)) for points in places]
     np.testing.assert_allclose(middle, [[1000.0, 0.0, 0.0], [1000.0, 0.0, 3.0]], atol=1e-3)
 
@@ -171,6 +175,41 @@ def test_shapes_in_groups_keep_their_names(mi):
     assert "balls.small.to_world" in keys
     sp.precompute(scene, **SMALL)
     assert list(mi.traverse(scene).keys()) == keys
+
+
+# A process of its own, as Mitsuba would end it.
+MOVED_LAMP = """
+import gc
+import numpy as np
+import slepian_prt as sp
+from slepian_prt.renderer.variants import imported_mitsuba, usable_variant
+mi = imported_mitsuba()
+mi.set_variant(usable_variant())
+picture = mi.Bitmap(np.ones((4, 4, 3), dtype=np.float32))
+radiance = {"type": "bitmap", "bitmap": picture, "raw": True}
+lamp = {"type": "cube", "emitter": {"type": "area", "radiance": radiance}}
+floor = {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, -3]).scale(4)}
+scene = mi.load_dict({"type": "scene", "lamp": lamp, "floor": floor}, optimize=False)
+integrator, film = mi.load_dict({"type": "path"}), {"type": "hdrfilm", "width": 8, "height": 8}
+camera = mi.load_dict({"type": "perspective", "film": film})
+mi.render(scene, integrator=integrator, sensor=camera, spp=1)
+for _ in range(3):
+    sp.precompute(scene, bandlimit=1, samples=16)
+    gc.collect()
+parameters = mi.traverse(scene)
+parameters["lamp.vertex_positions"] = 1.5 * parameters["lamp.vertex_positions"]
+parameters.update()
+mi.render(scene, integrator=integrator, sensor=camera, spp=1)
+print(scene.bbox().max.x)
+"""
+
+
+@pytest.mark.slow
+def test_a_textured_lamp_can_be_moved_afterwards():
+    """Mitsuba's meshes point to the last scene that they were in, whether it is there or not."""
+    run = subprocess.run([sys.executable, "-c", MOVED_LAMP], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert float(run.stdout) == 4.0
 
 
 # --- Variants --------------------------------------------------------------------------------------------------------
