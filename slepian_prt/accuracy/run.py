@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +32,12 @@ from slepian_prt.compression.stream import (
 )
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.vertex_error import ErrorMetric
-from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
+
+if TYPE_CHECKING:
+    from slepian_prt.scene.loading import SceneSource
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class BudgetedResult:
 
 
 def precompute_within(
-    scene: str | Path | Mesh,
+    scene: SceneSource,
     goal: Goal,
     light: Light,
     settings: CompressionSettings,
@@ -76,7 +78,7 @@ def precompute_within(
 
     Parameters
     ----------
-    scene : path of a mesh or Mitsuba scene, or a `Mesh`
+    scene : as of `precompute`
     goal : Goal
     light : Light
         Without maps and spectrum, the light of the scene itself.

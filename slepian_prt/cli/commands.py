@@ -36,12 +36,14 @@ def cli() -> None:
 def with_flags(text: str) -> str:
     """A sentence of the library, which names parameters, as one that names options.
 
-    `max_error` becomes --max-error, `effects=direct` becomes --effects direct, and so does the name at the beginning of
-    "bandlimit must be …". What is no option of any command stays as it is.
+    `max_error` becomes --max-error, `effects=direct` becomes --effects direct, `parameters={'spp': 16}` becomes
+    -D spp=16, and so does the name at the beginning of "bandlimit must be …". What is no option of any command stays as
+    it is.
     """
     return _NAMED.sub(_flag, text)
 
 
+_ENTRY = re.compile(r"\{'(?P<name>\w+)': (?P<value>[^`]*)\}")
 _NAMED = re.compile(r"`(?P<name>\w+)(?:=(?P<value>[^`]*))?`|^(?P<subject>\w+)(?= must be )")
 
 
@@ -50,14 +52,16 @@ def _flag(match: re.Match[str]) -> str:
     flag = _flags().get(name or subject)
     if flag is None:
         return match[0]
-    return flag if value is None else f"{flag} {value}"
+    return flag if value is None else f"{flag} " + _ENTRY.sub(r"\g<name>=\g<value>", value)
 
 
 @cache
 def _flags() -> dict[str, str]:
     """The options of all commands, by the names of the library's parameters."""
-    flags = [flag for name in COMMANDS for option in _command(name).params for flag in option.opts]
-    return {flag[2:].replace("-", "_"): flag for flag in flags if flag.startswith("--")}
+    options = [option for name in COMMANDS for option in _command(name).params if isinstance(option, click.Option)]
+    named = {str(option.name): option.opts[0] for option in options}
+    flags = [flag for option in options for flag in option.opts]
+    return named | {flag[2:].replace("-", "_"): flag for flag in flags if flag.startswith("--")}
 
 
 def _command(name: str) -> click.Command:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from slepian_prt.cli.values import Albedo, Names, Point
+from slepian_prt.cli.values import Albedo, Names, Parameter, Point, as_dict
 from slepian_prt.errors import UserError
 
 Decorator = Callable[[Any], Any]
@@ -97,6 +97,16 @@ crease_option = click.option(
     metavar="DEG",
     help="Edges of a mesh file sharper than this are hard, where the file gives no normals.  [default: none is]",
 )
+parameters_option = click.option(
+    "-D",
+    "--define",
+    "parameters",
+    type=Parameter(),
+    multiple=True,
+    callback=as_dict,
+    metavar="NAME=VALUE",
+    help="Of an .xml scene: the value of $NAME there; may be given several times.",
+)
 clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
 rotate_option = click.option(
     "--rotate", default=0.0, show_default=True, metavar="DEG", help="Turn the map about the up axis y."
@@ -115,6 +125,7 @@ transport_options = together(
         "--view", metavar="CAMERA", help="Of an .xml scene, by id or number: transfer of glossy materials toward it."
     ),
     crease_option,
+    parameters_option,
     seed_option,
 )
 

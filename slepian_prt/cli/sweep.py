@@ -19,6 +19,7 @@ from slepian_prt.cli.options import (
     environment_option,
     noise_option,
     output_option,
+    parameters_option,
     rotate_option,
     scene_argument,
     seed_option,
@@ -49,6 +50,7 @@ def _axis(flag: str, kind: type, metavar: str, default: str | None, what: str) -
 @effects_option
 @albedo_option
 @crease_option
+@parameters_option
 @seed_option
 @rotate_option
 @clamp_option

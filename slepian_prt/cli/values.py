@@ -94,6 +94,28 @@ class Several(click.ParamType):
             raise UserError(f"`{param.name}` must be numbers with commas between, not {value!r}") from None
 
 
+class Parameter(click.ParamType):
+    """The name of a scene's parameter and its value."""
+
+    name = "parameter"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        name, equals, text = value.partition("=")
+        if not equals or not name:
+            raise UserError(f"-D must be NAME=VALUE, not {value!r}")
+        return name, text
+
+
+def as_dict(
+    _context: click.Context, _option: click.Parameter, pairs: Sequence[tuple[str, str]]
+) -> dict[str, str] | None:
+    """Pairs as a dict, None if there are none; raise UserError for a name that is given twice."""
+    for number, (name, _) in enumerate(pairs):
+        if name in dict(pairs[:number]):
+            raise UserError(f"-D {name} is given twice; give it once")
+    return dict(pairs) or None
+
+
 def settings_of(kind: Callable[..., Settings], options: dict[str, Any], **more: Any) -> Settings:
     """The dataclass ``kind`` from those options that are its fields."""
     names = {field.name for field in fields(kind)}  # type: ignore[arg-type]

@@ -11,8 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,13 +29,15 @@ from slepian_prt.compression.projection import Projection, choose_projection, wi
 from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettings
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
-from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.estimator import Estimator, TransferBlock
 from slepian_prt.transport.interior import find_interior
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import Transfer, compute_transfer
+
+if TYPE_CHECKING:
+    from slepian_prt.scene.loading import SceneSource
 
 log = logging.getLogger(__name__)
 
@@ -216,7 +217,7 @@ def encode_transfer(
 
 
 def precompute_compressed(
-    scene: str | Path | Mesh,
+    scene: SceneSource,
     settings: CompressionSettings,
     transport: TransportSettings,
     *,
@@ -232,7 +233,7 @@ def precompute_compressed(
 
     Parameters
     ----------
-    scene : path of a mesh or Mitsuba scene, or a `Mesh`
+    scene : as of `precompute`
     settings : CompressionSettings
     transport : TransportSettings
     on_plan, advance : as of `precompute`

@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -42,6 +41,9 @@ from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import Transfer, compute_transfer
 
+if TYPE_CHECKING:
+    from slepian_prt.scene.loading import SceneSource
+
 # Pictures are shown of the number of functions nearest to this.
 _PICTURED_TERMS = 16
 
@@ -52,7 +54,7 @@ Report = Callable[[str], None]
 
 
 def compare(
-    scene: str | Path,
+    scene: SceneSource,
     environments: Sequence[Environment],
     *,
     transport: TransportSettings | None = None,
@@ -71,7 +73,7 @@ def compare(
 
     Parameters
     ----------
-    scene : path
+    scene : as of `precompute`
     environments : maps; without any, the light of a Mitsuba scene itself
     transport : TransportSettings
     grouping : what is grouped into caps; the rest of it does not count

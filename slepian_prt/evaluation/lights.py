@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.scene.loading import may_have_light
 from slepian_prt.scene.scene import Scene
 
+if TYPE_CHECKING:
+    from slepian_prt.scene.loading import SceneSource
 
-def check_lights(scene: str | Path, environments: Sequence[Environment]) -> None:
+
+def check_lights(scene: SceneSource, environments: Sequence[Environment]) -> None:
     """Raise UserError, before the scene is opened, if there is no map and it cannot have a light of its own."""
-    if not environments and Path(scene).suffix.lower() != ".xml":
+    if not environments and not may_have_light(scene):
         raise UserError("no light: name a map with `environment` (only a Mitsuba .xml scene may have its own)")
 
 

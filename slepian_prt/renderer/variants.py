@@ -67,22 +67,44 @@ def prepare_llvm() -> str:
 
 
 @contextmanager
-def mitsuba() -> Iterator[Any]:
+def mitsuba(made_in: str | None = None) -> Iterator[Any]:
     """Mitsuba in a variant for heavy work, for the length of a with-block; the caller's variant comes back after.
 
     A variant that the user has set and that can trace on many rays at once is kept.
+
+    Parameters
+    ----------
+    made_in : str, optional
+        The variant of objects that are there already, which works in no other.
+
+    Raises
+    ------
+    UserError
+        No LLVM (or CUDA device) that works, or objects of a variant that cannot trace many rays, in colour, at once.
     """
     mi = imported_mitsuba()
     before = mi.variant()
-    if before and before.startswith(("llvm_", "cuda_")) and before.endswith("_rgb"):
+    wanted = made_in or before
+    if made_in and not _is_for_heavy_work(made_in):
+        raise UserError(
+            f"the scene was loaded in the variant {made_in}, and transport is traced in llvm_ad_rgb or cuda_ad_rgb: "
+            "load it after mitsuba.set_variant('llvm_ad_rgb')"
+        )
+    if not wanted or not _is_for_heavy_work(wanted):
+        wanted = usable_variant()
+    if wanted == before:
         yield mi
         return
-    mi.set_variant(usable_variant())
+    mi.set_variant(wanted)
     try:
         yield mi
     finally:
         if before:
             mi.set_variant(before)
+
+
+def _is_for_heavy_work(variant: str) -> bool:
+    return variant.startswith(("llvm_", "cuda_")) and variant.endswith("_rgb")
 
 
 def bitmap_module() -> ModuleType:

@@ -3,88 +3,173 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slepian_prt.errors import UserError
+from slepian_prt.files import check_readable
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
+from slepian_prt.scene.mitsuba_files import load_dict, load_xml, silent
+from slepian_prt.scene.mitsuba_objects import is_of_mitsuba, left_usable, parts_of, scene_of, variant_of
 from slepian_prt.scene.mitsuba_scenes import scene_from_mitsuba
-from slepian_prt.scene.recentering import coarse_receivers, far_center, load_about
+from slepian_prt.scene.parameters import scene_parameters
+from slepian_prt.scene.recentering import coarse_receivers
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.shapes import mitsuba_mesh
 from slepian_prt.scene.trimesh_objects import is_of_trimesh, mesh_from_trimesh
 
 if TYPE_CHECKING:
+    import mitsuba as mi
     import trimesh
 
+    SceneSource: TypeAlias = str | Path | Mesh | trimesh.Trimesh | trimesh.Scene | mi.Scene | mi.Shape | dict[str, Any]
+
 log = logging.getLogger(__name__)
+
+# Textures of Mitsuba that are looked up at texture coordinates.
+_LAID_OUT = re.compile("BitmapTexture|Checkerboard")
 
 
 @contextmanager
 def open_scene(
-    path: str | Path | Mesh | trimesh.Trimesh | trimesh.Scene,
+    source: SceneSource,
     *,
     albedo: ArrayLike | None = None,
     view: str | int | None = None,
     crease_angle: float | None = None,
+    parameters: Mapping[str, object] | None = None,
 ) -> Iterator[Scene]:
-    """Load a mesh file, a Mitsuba .xml or a mesh in memory, and yield the scene, with Mitsuba in a working variant.
+    """Load a mesh file, a Mitsuba scene or what is in memory, and yield the scene, with Mitsuba in a working variant.
 
     Parameters
     ----------
-    path : path, Mesh, trimesh.Trimesh or trimesh.Scene
-        Of trimesh's objects as `mesh_from_trimesh` has it.
+    source : path, Mesh, trimesh.Trimesh, trimesh.Scene, mitsuba.Scene, mitsuba.Shape or dict
+        A path is that of a mesh file or a Mitsuba .xml. Of trimesh's objects as `mesh_from_trimesh` has it. Mitsuba's
+        are used in their own variant, as they are, and may be used afterwards; a dict is one as of
+        ``mitsuba.load_dict``.
     albedo : one or three numbers in [0, 1], optional
         Of a mesh, instead of what its file says. Where neither says anything, it is 1, and nothing is known of
         interreflection.
-    view : id or number of a camera of an .xml scene, optional
+    view : id or number of a camera of a Mitsuba scene, optional
         Glossy receivers are included, as that camera sees them.
     crease_angle : float in [0, 180], optional
         Degrees from which on edges of a mesh file are hard, as of `read_mesh`.
+    parameters : dict of str to number, bool or str, optional
+        Values of the ``$name`` in an .xml scene.
 
     Raises
     ------
     UserError
-        As `read_mesh` and `mesh_from_trimesh`; an XML file that Mitsuba refuses (its message is passed on); a scene
-        with nothing to light; an albedo or a crease angle for a scene that has its own; a camera that is not there.
+        As `read_mesh` and `mesh_from_trimesh`; a scene that Mitsuba cannot load (why, with file and line); a parameter
+        without a value, or that the scene does not have; a scene with nothing to light; an albedo or a crease angle
+        for a scene that has its own; a camera that is not there; objects of a variant that cannot be used.
     """
-    if is_of_trimesh(path):
-        path = mesh_from_trimesh(path)
-    if not isinstance(path, str | Path | Mesh):
-        kind = type(path).__name__
-        raise UserError(f"the scene must be the path of a file, a Mesh, or a mesh or scene of trimesh, not a {kind}")
-    if not isinstance(path, Mesh) and Path(path).suffix.lower() == ".xml":
-        if not Path(path).is_file():
-            raise UserError(f"{path}: no such file; check the path")
-        if albedo is not None:
-            raise UserError(f"{path}: its materials say what it reflects; leave out the albedo, or change it there")
-        if crease_angle is not None:
-            raise UserError(f"{path}: its shapes say themselves which edges are hard; leave out the crease angle")
-        with mitsuba() as mi:
-            loaded, origin = _load_xml(mi, Path(path))
-            yield _told_of_steps(scene_from_mitsuba(mi, loaded, Path(path), origin, view))
-        return
-    if view is not None:
-        raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
-    if isinstance(path, Mesh):
-        if crease_angle is not None:
-            raise UserError(f"{path.name}: a mesh in memory has normals; leave out the crease angle, or name a file")
-        mesh, source = path, path.name
+    if is_of_trimesh(source):
+        source = mesh_from_trimesh(source)
+    if isinstance(source, dict):
+        source_name = "scene"
+    elif is_of_mitsuba(source):
+        source_name = source.id() or "scene"
+    elif isinstance(source, str | Path | Mesh):
+        source_name = source.name if isinstance(source, Mesh) else str(source)
     else:
-        mesh, source = read_mesh(path, crease_angle=180.0 if crease_angle is None else crease_angle), str(path)
+        raise UserError(
+            "the scene must be the path of a file, a Mesh, or a mesh or scene of trimesh or of Mitsuba (its dict, or a "
+            f"shape, too), not a {type(source).__name__}"
+        )
+    is_xml = isinstance(source, str | Path) and Path(source).suffix.lower() == ".xml"
+    if parameters and not is_xml:
+        raise UserError(f"{source_name}: is no Mitsuba .xml scene, and no other takes parameters; leave them out")
+    if not is_xml and isinstance(source, str | Path | Mesh):
+        yield from _open_mesh(source, source_name, albedo, view, crease_angle)
+        return
+    if is_xml:
+        check_readable(source_name, "a Mitsuba .xml scene")
+    if albedo is not None:
+        raise UserError(f"{source_name}: its materials say what it reflects; leave out the albedo, or change it there")
+    if crease_angle is not None:
+        raise UserError(f"{source_name}: its shapes say themselves which edges are hard; leave out the crease angle")
+    yield from _open_mitsuba(source, source_name, view, scene_parameters(parameters))
+
+
+def _open_mitsuba(
+    source: SceneSource, name: str, view: str | int | None, parameters: dict[str, str]
+) -> Iterator[Scene]:
+    """A scene of Mitsuba: a file, a dict, or objects."""
+    with mitsuba(variant_of(source)) as mi, left_usable(mi, parts_of(mi, source)), _without_gradients():
+        with silent(mi):
+            origin = np.zeros(3)
+            if isinstance(source, dict):
+                loaded, origin = load_dict(mi, source, needs_camera=view is not None)
+            elif isinstance(source, str | Path):
+                loaded, origin = load_xml(mi, Path(source), parameters, needs_camera=view is not None)
+            else:
+                loaded = scene_of(mi, source, name)
+            _remark_on_coordinates(loaded, name)
+            scene = scene_from_mitsuba(mi, loaded, Path(name), origin, view)
+        yield _told_of_steps(scene)
+
+
+@contextmanager
+def _without_gradients() -> Iterator[None]:
+    """Nothing recorded for derivatives, which parameters of the user's scene may be prepared for."""
+    import drjit as dr  # not before Mitsuba, which knows where LLVM is
+
+    with dr.suspend_grad():
+        yield
+
+
+def _open_mesh(
+    source: str | Path | Mesh, name: str, albedo: ArrayLike | None, view: str | int | None, crease_angle: float | None
+) -> Iterator[Scene]:
+    """A mesh file, or a mesh in memory."""
+    if view is not None:
+        raise UserError("a view is that of a camera in a Mitsuba scene; this scene has none")
+    if not isinstance(source, Mesh):
+        mesh = read_mesh(source, crease_angle=180.0 if crease_angle is None else crease_angle)
+    elif crease_angle is not None:
+        raise UserError(f"{name}: a mesh in memory has normals; leave out the crease angle, or name a file")
+    else:
+        mesh = source
     if albedo is not None:
         constant = _constant_albedo(albedo, len(mesh.positions))
         mesh = replace(mesh, albedo=constant, known_albedo=True, not_simulated=())
     with mitsuba() as mi:
-        yield _told_of_steps(_from_mesh(mi, mesh, source))
+        yield _told_of_steps(_from_mesh(mi, mesh, name))
+
+
+def may_have_light(source: SceneSource) -> bool:
+    """Whether a scene can have a light of its own; of a path this is known before the file is read."""
+    if isinstance(source, str | Path):
+        return Path(source).suffix.lower() == ".xml"
+    return isinstance(source, dict) or is_of_mitsuba(source)
+
+
+def _remark_on_coordinates(loaded: Any, origin: str) -> None:
+    """Say which meshes have a texture and nothing that says where it lies on them."""
+    names = [
+        shape.id()
+        for shape in loaded.shapes()
+        if shape.is_mesh() and not shape.has_vertex_texcoords() and re.search(_LAID_OUT, str(shape.bsdf()))
+    ]
+    if names:
+        listed = ", ".join(f"'{name}'" for name in names[:3]) + (", …" if len(names) > 3 else "")
+        subject = f"shape {listed} has" if len(names) == 1 else f"{len(names)} shapes ({listed}) have"
+        log.info(
+            "%s: %s a texture and no texture coordinates, so that each face shows a triangle of it; give the mesh "
+            "coordinates",
+            origin,
+            subject,
+        )
 
 
 def _told_of_steps(scene: Scene) -> Scene:
@@ -132,21 +217,3 @@ def _from_mesh(mi: Any, mesh: Mesh, source: str) -> Scene:
         environment=None,
         not_simulated=mesh.not_simulated,
     )
-
-
-def _load_xml(mi: Any, path: Path) -> tuple[Any, NDArray[np.float64]]:
-    """The scene, unoptimised, and the point of the world that is its origin: another than zero if it is far from it."""
-    level = mi.log_level()
-    try:
-        mi.set_log_level(mi.LogLevel.Error)  # its warnings go to standard output, where the plan does
-        # Unoptimised: merged shapes lose their names, and rectangles in them their resolution.
-        loaded = mi.load_file(str(path), optimize=False)
-        center = far_center(loaded)
-        if center is None:
-            return loaded, np.zeros(3)
-        return load_about(mi, path, center), center
-    except Exception as error:  # whatever Mitsuba's parser and plugins raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(f"{path}: Mitsuba cannot load the scene ({reason}); correct it there") from None
-    finally:
-        mi.set_log_level(level)

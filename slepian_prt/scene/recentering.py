@@ -1,4 +1,4 @@
-"""Scenes far from the origin, loaded where float32 is fine enough; and what is too coarse all the same.
+"""Scenes far from the origin, moved to where float32 is fine enough; and what is too coarse all the same.
 
 Mitsuba keeps positions in float32, where map coordinates of 5 million metres have steps of half a metre. Its parser
 keeps transforms in float64, so that they can be moved before any shape is made.
@@ -6,7 +6,6 @@ keeps transforms in float64, so that they can be moved before any shape is made.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,21 +39,12 @@ def far_center(scene: Any) -> NDArray[np.float64] | None:
     return np.round(center) if np.linalg.norm(center) > _FAR * np.linalg.norm(high - low) else None
 
 
-def load_about(mi: Any, path: Path, center: NDArray) -> Any:
-    """Load an .xml scene, moved so that ``center`` is the origin; unoptimised, as shapes keep their names then."""
-    config = mi.parser.ParserConfig(mi.variant())
-    config.merge_meshes = config.merge_equivalent = False
-    state = mi.parser.parse_file(config, str(path))
-    mi.parser.transform_all(config, state)
-    _move_children(mi, state, state.root.props, -center)
-    outside = mi.file_resolver()
-    resolver = mi.FileResolver(outside)
-    resolver.prepend(str(path.parent))
-    try:
-        mi.set_file_resolver(resolver)
-        return mi.parser.instantiate(config, state)
-    finally:
-        mi.set_file_resolver(outside)
+def move_scene(mi: Any, state: Any, center: NDArray) -> None:
+    """Move a parsed Mitsuba scene so that ``center`` is its origin."""
+    if state.root.type.name == "Shape":
+        _move(mi, state.root.props, -center)
+    else:
+        _move_children(mi, state, state.root.props, -center)
 
 
 def _move_children(mi: Any, state: Any, parent: Any, by: NDArray) -> None:

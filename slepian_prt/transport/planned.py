@@ -7,19 +7,23 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.loading import open_scene
-from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.effects import Effect, Plan
 from slepian_prt.transport.estimator import Estimator
 from slepian_prt.transport.glossy import ViewTransfer
+from slepian_prt.transport.interreflection import gather_operator
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.survey import Survey
+
+if TYPE_CHECKING:
+    from slepian_prt.scene.loading import SceneSource
 
 log = logging.getLogger(__name__)
 
@@ -32,10 +36,13 @@ ESTIMATORS: dict[str, Callable[[Scene, TransportSettings, Plan], Estimator[Any]]
 # Blocked part of the light beyond which a mesh is more likely inside out than meant.
 _NEARLY_ALL = 0.97
 
+# What is looked at to tell that from a model in a case: vertices, and directions from each.
+_CLOSED_VERTICES, _CLOSED_NODES = 256, 64
+
 
 @contextmanager
 def plan_scene(
-    scene: str | Path | Mesh,
+    scene: SceneSource,
     settings: TransportSettings,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
 ) -> Iterator[PlannedScene]:
@@ -43,7 +50,7 @@ def plan_scene(
 
     Parameters
     ----------
-    scene : path of a mesh or Mitsuba scene, or a `Mesh`
+    scene : as of `precompute`
     settings : TransportSettings
     on_plan : callable
         Given the effects of the plan.
@@ -54,8 +61,8 @@ def plan_scene(
         As `open_scene`; no face that can be lit.
     """
     clock = Clock()
-    opening = open_scene(scene, albedo=settings.albedo, view=settings.view, crease_angle=settings.crease_angle)
-    with opening as opened:
+    asked = {name: getattr(settings, name) for name in ("albedo", "view", "crease_angle", "parameters")}
+    with open_scene(scene, **asked) as opened:
         if not opened.receivers.active.any():
             raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
         clock.stop("load")
@@ -63,7 +70,7 @@ def plan_scene(
         view = opened.view if settings.view is not None else None
         plan = survey.plan(settings.bandlimit, settings.samples, settings.effects, view)
         on_plan(plan.effects)
-        _remark_on_closed(opened.path, plan.shadows)
+        _remark_on_closed(opened, plan.shadows, settings.seed)
         clock.stop("plan")
         yield PlannedScene(opened, settings, survey, plan, clock)
 
@@ -103,13 +110,35 @@ class PlannedScene:
         return ESTIMATORS[self.plan.estimator](self.scene, self.settings, self.plan)
 
 
-def _remark_on_closed(path: str, shadows: Effect) -> None:
-    if shadows.contribution is not None and shadows.contribution > _NEARLY_ALL:
-        log.info(
-            "%s: %.0f %% of the light is blocked; if this is no closed room, its faces point inward: flip them",
-            path,
-            100.0 * shadows.contribution,
-        )
+def _remark_on_closed(scene: Scene, shadows: Effect, seed: int) -> None:
+    """Faces that point inward, if that can be why so much of the light is blocked."""
+    if shadows.contribution is None or shadows.contribution <= _NEARLY_ALL:
+        return
+    if scene.loaded is None:
+        subject = "this"
+    elif closed := _closed_by_themselves(scene, seed):
+        subject = f"shape '{closed[0]}'" if len(closed) == 1 else f"each of shapes {', '.join(map(repr, closed))}"
+    else:
+        return  # what stands in a case or in a room is dark on either side of its faces
+    log.info(
+        "%s: %.0f %% of the light is blocked; if %s is no closed room, its faces point inward: flip them",
+        scene.path,
+        100.0 * shadows.contribution,
+        subject,
+    )
+
+
+def _closed_by_themselves(scene: Scene, seed: int) -> list[str]:
+    """Names of the shapes that see hardly anything but the fronts of their own faces."""
+    active = np.flatnonzero(scene.receivers.active)
+    chosen = np.random.default_rng(seed).choice(active, min(_CLOSED_VERTICES, active.size), replace=False)
+    gather = gather_operator(scene, _CLOSED_NODES, chosen, None, seed)
+    names = []
+    for part in scene.parts:
+        own = (gather.rows >= part.first) & (gather.rows < part.end)
+        if own.any() and gather.weights[own, part.first : part.end].sum() > _NEARLY_ALL * own.sum():
+            names.append(part.name)
+    return names
 
 
 class Clock:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
 from slepian_prt.errors import check_bandlimit, check_integer
 from slepian_prt.scene.mesh_files import check_crease_angle
+from slepian_prt.scene.parameters import scene_parameters
 from slepian_prt.transport.effects import wanted_effects
 
 LARGEST_BANDLIMIT = 50
@@ -31,11 +33,13 @@ class TransportSettings:
     seed : int
     crease_angle : float in [0, 180] or None
         Of a mesh file without normals.
+    parameters : dict of str to number, bool or str, or None
+        Of an .xml scene; kept as strings.
 
     Raises
     ------
     UserError
-        A number out of range, or an unknown effect.
+        A number out of range, an unknown effect, or parameters that cannot be written in XML.
     """
 
     bandlimit: int = 10
@@ -46,6 +50,7 @@ class TransportSettings:
     view: str | int | None = None
     seed: int = 0
     crease_angle: float | None = None
+    parameters: Mapping[str, object] | None = None
 
     def __post_init__(self) -> None:
         numbers = {
@@ -59,4 +64,6 @@ class TransportSettings:
             check_crease_angle(self.crease_angle)
         for name, number in numbers.items():
             object.__setattr__(self, name, number)
+        if self.parameters is not None:
+            object.__setattr__(self, "parameters", scene_parameters(self.parameters))
         wanted_effects(self.effects)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 
 if TYPE_CHECKING:
-    import trimesh
+    from slepian_prt.scene.loading import SceneSource
 
 
 @dataclass(frozen=True, repr=False)
@@ -127,7 +127,7 @@ class Transfer(Summarised):
 
 
 def precompute(
-    scene: str | Path | Mesh | trimesh.Trimesh | trimesh.Scene,
+    scene: SceneSource,
     bandlimit: int = 10,
     samples: int = 1024,
     *,
@@ -137,6 +137,7 @@ def precompute(
     view: str | int | None = None,
     seed: int = 0,
     crease_angle: float | None = None,
+    parameters: Mapping[str, object] | None = None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Transfer:
@@ -144,9 +145,12 @@ def precompute(
 
     Parameters
     ----------
-    scene : path, Mesh, trimesh.Trimesh or trimesh.Scene
+    scene : path, Mesh, trimesh.Trimesh, trimesh.Scene, mitsuba.Scene, mitsuba.Shape or dict
         Path of a mesh (ply, obj, stl, off, glb, gltf) or Mitsuba scene (xml). A ``trimesh.Scene`` becomes one mesh. Of
-        trimesh's objects geometry and normals are taken, the normals if they hold them, not colours.
+        trimesh's objects geometry and normals are taken, the normals if they hold them, not colours. A scene or a shape
+        of Mitsuba is used as it is now, in the variant that it was made in (RGB, LLVM or CUDA), and is as before
+        afterwards; load scenes with ``optimize=False``, as merged shapes have lost their names. A dict is one as of
+        ``mitsuba.load_dict``.
     bandlimit : int in [0, 50]
     samples : int
         Rays per vertex over the hemisphere, on average; vertices that nothing can shadow get none.
@@ -158,12 +162,14 @@ def precompute(
     albedo : one or three numbers in [0, 1], optional
         Diffuse reflectance of a mesh, instead of what its materials, textures and vertex colours say. Where they say
         nothing it is 1, and light between surfaces is left out.
-    view : id or number of a camera of an .xml scene, optional
+    view : id or number of a camera of a Mitsuba scene, optional
         Transfer toward that camera, of all materials but mirrors and glass; direct light only.
     seed : int
         The same seed gives the same bits.
     crease_angle : float in [0, 180], optional
         Degrees: edges of a mesh file sharper than this are hard, where the file gives no normals. By default none is.
+    parameters : dict of str to number, bool or str, optional
+        Values of the parameters of an .xml scene, which stand there as ``$name``.
     on_plan : callable
         Given the effects plan before the heavy work begins.
     advance : callable
@@ -176,7 +182,7 @@ def precompute(
     ValueError
         Bandlimit, samples, bounces or effects out of range.
     """
-    settings = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle)
+    settings = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle, parameters)
     with plan_scene(scene, settings, on_plan) as planned:
         return compute_transfer(planned, advance)
 

@@ -88,6 +88,8 @@ def test_choices_are_those_of_the_library():
         ("name a map with `environment`", "name a map with --environment"),
         ("not asked for (`effects=direct`)", "not asked for (--effects direct)"),
         ("ask for `max_error=0.05` or more", "ask for --max-error 0.05 or more"),
+        ("give `parameters={'spp': …}`", "give -D spp=…"),
+        ("give `parameters={'colour': '0.1, 0.2, 0.3'}`", "give -D colour='0.1, 0.2, 0.3'"),
         ("occlusion_classes must be an integer", "--occlusion-classes must be an integer"),
         ("ball.ply: albedo must be less", "ball.ply: albedo must be less"),
         ("half_angles must be less", "half_angles must be less"),

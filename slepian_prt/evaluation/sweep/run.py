@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,9 +27,12 @@ from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import compute_transfer
 
+if TYPE_CHECKING:
+    from slepian_prt.scene.loading import SceneSource
+
 
 def sweep(
-    scene: str | Path,
+    scene: SceneSource,
     environments: Sequence[Environment],
     axes: Axes,
     transport: TransportSettings,
@@ -43,11 +47,11 @@ def sweep(
 
     Parameters
     ----------
-    scene : path
+    scene : as of `precompute`
     environments : maps; without any, the light of a Mitsuba scene itself
     axes : Axes
     transport : TransportSettings
-        Of it the effects, albedo and seed count.
+        Of it the effects, albedo, view, parameters and seed count.
     noise : wanted relative RMS noise of the references
     checkpoint : path
         Where finished settings are kept until all are done; those found there are not measured again.
@@ -94,7 +98,7 @@ def sweep(
                 advance(1, len(settings))
     kept.remove()
     return Sweep(
-        str(scene),
+        planned.scene.path,
         len(planned.scene.mesh.positions),
         tuple(environment.name for environment in environments),
         {light.name: reference.noise for light, reference in zip(environments, references, strict=True)},
