@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,8 @@ class FixedLights:
         From the lamp itself.
     bounced : (n, V, 3) float32
         By way of other surfaces.
-    directions : (n, 3) float64, optional
-        Unit vectors toward ``directional`` lamps; zero of all others.
+    directions : (n, 3) float64
+        Unit vectors toward ``directional`` lamps; zero of all others, which is the default of all.
     """
 
     names: tuple[str, ...]
@@ -41,7 +41,10 @@ class FixedLights:
     emitted: NDArray[np.float64]
     direct: NDArray[np.float32]
     bounced: NDArray[np.float32]
-    directions: NDArray[np.float64] | None = None
+    directions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((1, 3)))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "directions", np.array(np.broadcast_to(self.directions, (len(self), 3))))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -49,8 +52,6 @@ class FixedLights:
     @property
     def can_turn(self) -> NDArray[np.bool_]:
         """(n,) True of lamps that shine from one direction: the only ones that can turn with a map."""
-        if self.directions is None:
-            return np.zeros(len(self), dtype=bool)
         return np.asarray(self.directions.any(axis=1))
 
     def radiance(self, scales: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -64,10 +65,9 @@ class FixedLights:
     def turned(self, scales: NDArray[np.float64], rotation: NDArray, bandlimit: int) -> NDArray[np.float64]:
         """(3, (L+1)²) coefficients of the directional lamps, turned: light of irradiance E from d is E y_lm(d)."""
         lighting = np.zeros((3, (bandlimit + 1) ** 2))
-        if self.directions is not None:
-            for i in np.flatnonzero(self.can_turn):
-                toward = (self.directions[i] @ np.asarray(rotation).T)[None]
-                lighting += scales[i] * np.outer(self.emitted[i], real_sh(bandlimit, toward)[0])
+        for i in np.flatnonzero(self.can_turn):
+            toward = (self.directions[i] @ np.asarray(rotation).T)[None]
+            lighting += scales[i] * np.outer(self.emitted[i], real_sh(bandlimit, toward)[0])
         return lighting
 
 
@@ -88,7 +88,7 @@ def lamp_scales(fixed: FixedLights | None, fixed_lights: float | Mapping[str, fl
     if not isinstance(fixed_lights, Mapping):
         return np.full(0 if fixed is None else len(fixed), _checked(fixed_lights, ""))
     names = () if fixed is None else fixed.names
-    scales = {name: _checked(scale, f" of '{name}'") for name, scale in fixed_lights.items()}
+    scales = {name: _checked(scale, "" if name == OTHERS else f" of '{name}'") for name, scale in fixed_lights.items()}
     for name in scales:
         if name != OTHERS and name not in names:
             known = ", ".join(f"'{known}'" for known in names) or "none"

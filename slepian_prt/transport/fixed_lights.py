@@ -41,16 +41,17 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
     direct = np.zeros((len(lamps.groups), count, 3), dtype=np.float32)
     tracer = LampTracer(scene, lamps.groups, settings.samples, settings.seed)
     lit = scene.receivers.active & ~dark
-    noise = np.zeros(len(lamps.groups))
+    squared_noise = np.zeros(len(lamps.groups))
     for chosen, shadows in ((np.flatnonzero(lit & shadowed), True), (np.flatnonzero(lit & ~shadowed), False)):
         if chosen.size:
             traced = tracer.trace(chosen, shadows=shadows)
             direct[:, chosen] = traced.radiance
-            noise = np.maximum(noise, traced.noise)
+            squared_noise += traced.squared_noise
     _check(scene.path, lamps.names, direct)
-    for name, reached, light, value in zip(lamps.names, lamps.reached, direct, noise, strict=True):
+    noise = np.sqrt(squared_noise / np.maximum(np.sum(direct.astype(np.float64) ** 2, axis=(1, 2)), 1e-300))
+    for name, reached, light, relative in zip(lamps.names, lamps.reached, direct, noise, strict=True):
         interior.fill(light)
-        _remark(scene.path, name, reached, light, value)
+        _remark(scene.path, name, float(reached), light, float(relative))
     fixed = FixedLights(lamps.names, lamps.kinds, lamps.emitted, direct, np.zeros_like(direct), lamps.directions)
     return fixed, tracer.rays
 

@@ -2,7 +2,7 @@
 
 A receiver of unit albedo sends back E/π. Lamps that are points or directions take one sample. Light of surfaces is
 sampled twice, toward the lamp as Mitsuba does it, and along the cosine of the receiver; what both find is weighted by
-the balance heuristic (Veach 1997, Sec. 9.2). The first is right for small lamps, the second near large ones, where the
+the power heuristic (Veach 1997, Sec. 9.2). The first is right for small lamps, the second near large ones, where the
 first would have the noise of 1/r².
 """
 
@@ -20,9 +20,8 @@ from slepian_prt.transport.hemisphere import upload_origins
 
 _RAYS_PER_BLOCK = 1 << 20
 
-# Additive recurrence of three dimensions (Roberts 2018): the inverse powers of the root of x⁴ = x + 1.
-_RATIO = 1.2207440846057596
-_STEPS = tuple(int((1.0 / _RATIO**d % 1.0) * 2**32) for d in (1, 2, 3))
+# Additive recurrences (Roberts 2018): two dimensions by the root of x³ = x + 1, a third by the golden ratio.
+_STEPS = tuple(int(step * 2**32) for step in (0.7548776662466927, 0.5698402909980532, 0.6180339887498949))
 
 # Shadow rays stop this part of the way before the lamp, about as Mitsuba's own do (its ShadowEpsilon).
 _SHORTENED = 1e-3
@@ -55,13 +54,13 @@ class DirectLight(NamedTuple):
     Attributes
     ----------
     radiance : (n, V, 3) float32
-    noise : (n,) float64
-        Relative RMS noise, from two halves of the samples; 0 of what is not sampled.
+    squared_noise : (n,) float64
+        Sum of the squared errors, as the halves of the samples tell them; 0 of what is not sampled.
     rays : int
     """
 
     radiance: NDArray[np.float32]
-    noise: NDArray[np.float64]
+    squared_noise: NDArray[np.float64]
     rays: int
 
 
@@ -116,10 +115,8 @@ class LampTracer:
             for chosen in _blocks(vertices.size, along):
                 halves[:, :, chosen] += self._along(vertices[chosen], toward, along)
         radiance = halves.mean(axis=1)
-        difference = 0.5 * np.sqrt(np.mean((halves[:, 0] - halves[:, 1]) ** 2, axis=(1, 2)))
-        size = np.sqrt(np.mean(radiance**2, axis=(1, 2)))
-        noise = np.divide(difference, size, out=np.zeros(len(size)), where=size > 0.0)
-        return DirectLight(radiance.astype(np.float32), noise, self.rays - before)
+        squared_noise = np.sum((0.5 * (halves[:, 0] - halves[:, 1])) ** 2, axis=(1, 2))
+        return DirectLight(radiance.astype(np.float32), squared_noise, self.rays - before)
 
     @cached_property
     def _geometry(self) -> Any:
@@ -158,9 +155,8 @@ class LampTracer:
             ray.maxt = ds.dist * (1.0 - _SHORTENED)
             lit &= ~self._geometry.ray_test(ray, lit)
             self.rays += dr.width(place)
-        pdf = count * chance * ds.pdf
-        balance = dr.select(ds.delta, 1.0, pdf / (pdf + along * cosine))
-        value = mi.Color3f(mi.unpolarized_spectrum(weight)) * cosine * balance / chance
+        part = dr.select(ds.delta, 1.0, _heuristic(count * chance * ds.pdf, along * cosine))
+        value = mi.Color3f(mi.unpolarized_spectrum(weight)) * cosine * part / chance
         return _halves(mi, dr.select(lit, value, 0.0), vertices.size, count)
 
     def _along(self, vertices: NDArray[np.int64], toward: int, count: int) -> NDArray[np.float64]:
@@ -182,10 +178,8 @@ class LampTracer:
         valid &= group >= 0
         pdf = emitter.pdf_direction(it, mi.DirectionSample3f(geometry, hit, it), valid)
         pdf *= toward * dr.gather(mi.Float, chance_of, number, valid)
-        value = mi.Color3f(mi.unpolarized_spectrum(emitter.eval(hit, valid))) * (
-            count * cosine / (pdf + count * cosine)
-        )
-        value = dr.select(valid, value, 0.0)
+        part = _heuristic(count * cosine, pdf)
+        value = dr.select(valid, mi.Color3f(mi.unpolarized_spectrum(emitter.eval(hit, valid))) * part, 0.0)
         dr.eval(value, group)
         found = [
             _halves(mi, dr.select(group == i, value, 0.0), vertices.size, count)
@@ -236,6 +230,13 @@ def _blocks(size: int, count: int) -> list[slice]:
     """Receivers of ``count`` rays each that are traced at a time."""
     step = max(1, _RAYS_PER_BLOCK // count)
     return [slice(begin, min(begin + step, size)) for begin in range(0, size, step)]
+
+
+def _heuristic(own: Any, other: Any) -> Any:
+    """What a sample counts for: the square of its density among those of both ways to find it."""
+    import drjit as dr
+
+    return dr.select(own > 0.0, dr.rcp(1.0 + dr.square(other / own)), 0.0)
 
 
 def _halves(mi: Any, value: Any, size: int, count: int) -> NDArray[np.float64]:

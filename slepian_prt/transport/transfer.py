@@ -20,7 +20,7 @@ from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import SIMULATED, Effect
 from slepian_prt.transport.fixed_lights import bounced_light, direct_fixed_lights
 from slepian_prt.transport.glossy import merge_equal_channels
-from slepian_prt.transport.interior import find_interior
+from slepian_prt.transport.interior import InteriorVertices, find_interior
 from slepian_prt.transport.interreflection import GATHER_SHARE, add_bounces, count_bounces, gather_operator
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
@@ -220,20 +220,8 @@ def compute_transfer(
     rays += fixed_rays
     bounces = 0
     if plan.interreflection:
-        nodes = max(1, round(GATHER_SHARE * settings.samples))
-        gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
-        if settings.bounces is not None:
-            bounces = settings.bounces
-        else:
-            bounces = count_bounces(gather, receivers.albedo, np.where(receivers.active, 1.0 - blocked, 0.0))
-        vectors = add_bounces(gather, receivers.albedo, vectors[:, 0], plan.channels, bounces)
-        interior.fill(vectors)
-        rays += gather.rays
-        if fixed is not None:
-            bounced = bounced_light(gather, receivers.albedo, fixed.direct, plan.channels, settings.bounces)
-            for light in bounced:
-                interior.fill(light)
-            fixed = replace(fixed, bounced=bounced)
+        vectors, fixed, bounces, gathered = _reflect(planned, vectors, fixed, blocked, interior, report)
+        rays += gathered
         planned.clock.stop("interreflection")
     if plan.view is not None:
         mesh = replace(mesh, albedo=np.ones_like(mesh.albedo))  # the reflectance is in the vectors
@@ -255,3 +243,30 @@ def compute_transfer(
         toward_view=plan.view is not None,
         fixed=fixed,
     )
+
+
+def _reflect(
+    planned: PlannedScene,
+    vectors: NDArray[np.float32],
+    fixed: FixedLights | None,
+    blocked: NDArray[np.float32],
+    interior: InteriorVertices,
+    report: Callable[[int], None],
+) -> tuple[NDArray[np.float32], FixedLights | None, int, int]:
+    """Vectors and light of lamps with what surfaces reflect onto each other; the number of bounces, and of rays."""
+    scene, plan, settings = planned.scene, planned.plan, planned.settings
+    receivers = scene.receivers
+    nodes = max(1, round(GATHER_SHARE * settings.samples))
+    gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
+    if settings.bounces is not None:
+        bounces = settings.bounces
+    else:
+        bounces = count_bounces(gather, receivers.albedo, np.where(receivers.active, 1.0 - blocked, 0.0))
+    vectors = add_bounces(gather, receivers.albedo, vectors[:, 0], plan.channels, bounces)
+    interior.fill(vectors)
+    if fixed is not None:
+        bounced = bounced_light(gather, receivers.albedo, fixed.direct, plan.channels, settings.bounces)
+        for light in bounced:
+            interior.fill(light)
+        fixed = replace(fixed, bounced=bounced)
+    return vectors, fixed, bounces, gather.rays
