@@ -22,20 +22,22 @@ VERTICES = 162
 
 
 def lamps() -> FixedLights:
-    """A gray one, one of one colour, a pure red one, one of many colours, and a dark one."""
+    """A gray one, one of one colour, a pure red one, one of many, one that is nearly gray, and a dark one."""
     rng = np.random.default_rng(5)
     shape = np.exp(rng.uniform(-12.0, 3.0, size=(VERTICES, 1)))
     shape[::3] = 0.0
+    nearly = shape * [1.0, 1.001, 1.0]
+    nearly[1] *= [1.0, 1.02, 0.98]
     many = np.exp(rng.uniform(-12.0, 3.0, size=(VERTICES, 3)))
-    colours = [shape * [1.0, 1.0, 1.0], shape * [0.2, 7.0, 1e-6], shape * [3e5, 0.0, 0.0], many, 0.0 * many]
+    colours = [shape * [1.0, 1.0, 1.0], shape * [0.2, 7.0, 1e-6], shape * [3e5, 0.0, 0.0], many, nearly, 0.0 * many]
     direct = np.array(colours, dtype=np.float32)
     return FixedLights(
-        ("gray", "tinted", "red", "many", "inside a box"),
-        ("area", "point", "spot", "directional", "projector"),
-        rng.uniform(0.0, 9.0, size=(5, 3)),
+        ("gray", "tinted", "red", "many", "nearly gray", "inside a box"),
+        ("area", "point", "spot", "directional", "area", "projector"),
+        rng.uniform(0.0, 9.0, size=(6, 3)),
         direct,
         direct[::-1].copy(),
-        np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0.6, 0.0, -0.8], [0, 0, 0]]),
+        np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0.6, 0.0, -0.8], [0, 0, 0], [0, 0, 0]]),
     )
 
 
@@ -63,13 +65,13 @@ def test_what_is_read_is_within_the_bound(packed, tmp_path):
 def test_rows_and_bytes(packed, tmp_path):
     """One row where channels are alike, none where it is dark, at most two bytes for each number."""
     entries, arrays = pack_lamps(lamps())
-    assert [entry["direct_rows"] for entry in entries] == [1, 1, 1, 3, 0]
-    assert [entry["bounced_rows"] for entry in entries] == [0, 3, 1, 1, 1]
-    assert arrays["fixed/direct"].shape == (2, 6, VERTICES)
+    assert [entry["direct_rows"] for entry in entries] == [1, 1, 1, 3, 3, 0]
+    assert [entry["bounced_rows"] for entry in entries] == [0, 3, 3, 1, 1, 1]
+    assert arrays["fixed/direct"].shape == (2, 9, VERTICES)
     replace(packed, fixed=lamps()).save(tmp_path / "lit.prt")
     packed.save(tmp_path / "plain.prt")
     more = (tmp_path / "lit.prt").stat().st_size - (tmp_path / "plain.prt").stat().st_size
-    assert more < 2 * 2 * 6 * VERTICES + 2000
+    assert more < 2 * 2 * 9 * VERTICES + 2000
     assert load(tmp_path / "lit.prt").bytes_per_vertex == packed.bytes_per_vertex
 
 

@@ -143,15 +143,24 @@ def test_blocks_give_the_same_light(tmp_path):
 
 
 def test_without_shadows(tmp_path):
+    """What is in a shadow is lit, and so is the foot of a pole that is sunk into the floor."""
     lid = """<shape type="rectangle" id="lid"><transform name="to_world"><translate z="0.5"/></transform>
     <bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>"""
-    path = written(tmp_path, BOX + lid + point("bulb", (0.0, 0.0, 1.0), 1.0))
+    pole = """<shape type="cube" id="pole"><transform name="to_world"><scale x="0.2" y="0.2" z="0.3"/>
+    <translate z="0.2"/></transform>
+    <bsdf type="diffuse"/></shape>"""
+    path = written(tmp_path, BOX + lid + pole + point("bulb", (0.8, 0.0, 1.0), 1.0))
+    with open_scene(path) as scene:
+        facing = np.einsum("ij,ij->i", scene.mesh.normals, [0.8, 0.0, 1.0] - scene.mesh.positions) > 0.0
+        sunk = scene.is_hidden & facing
+        assert sunk.any()
+        floor = slice(scene.parts[0].first, scene.parts[0].end)
     shadowed, plain = (sp.precompute(path, 1, 32, effects=effects).fixed for effects in ("direct", "none"))
     assert shadowed is not None
     assert plain is not None
-    floor = slice(0, 100)
     assert not shadowed.direct[0, floor].any()
     assert (plain.direct[0, floor] > 0.0).all()
+    assert (plain.direct[0, sunk] > 0.0).all()
 
 
 def test_toward_a_camera_lamps_are_named(tmp_path):

@@ -244,6 +244,7 @@ def test_many_lamps_are_joined(tmp_path):
         assert lamps.names[-1] == "9 other lights"
         assert lamps.kinds == ("point",) * 16
         x, light, _, _ = light_on_floor(scene, lamps, 4096)
+    np.testing.assert_allclose(lamps.reached, light.mean(axis=(1, 2)), rtol=0.3)  # of a pilot
     kept = [int(name[1:]) for name in lamps.names[:-1]]
     assert set(range(8)) <= set(kept)
     way = places[:, None] - x
