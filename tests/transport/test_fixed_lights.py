@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import slepian_prt as sp
 from slepian_prt.compression.settings import CompressionSettings
@@ -17,6 +18,7 @@ from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.hemisphere import upload_origins
 from slepian_prt.transport.settings import TransportSettings
 from tests.numerics import assert_exact
+from tests.scene.test_piercing import post
 from tests.statistics import assert_agree
 from tests.transport.test_lamp_light import AREA, point
 
@@ -146,12 +148,12 @@ def test_without_shadows(tmp_path):
     """What is in a shadow is lit, and so is the foot of a pole that is sunk into the floor."""
     lid = """<shape type="rectangle" id="lid"><transform name="to_world"><translate z="0.5"/></transform>
     <bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>"""
-    pole = """<shape type="cube" id="pole"><transform name="to_world"><scale x="0.2" y="0.2" z="0.3"/>
-    <translate z="0.2"/></transform>
-    <bsdf type="diffuse"/></shape>"""
+    trimesh.Trimesh(*post(0.1), process=False).export(tmp_path / "pole.ply")
+    pole = """<shape type="ply" id="pole"><string name="filename" value="pole.ply"/><bsdf type="diffuse"/></shape>"""
     path = written(tmp_path, BOX + lid + pole + point("bulb", (0.8, 0.0, 1.0), 1.0))
+    bulb = np.array([0.8, 0.0, 1.0])
     with open_scene(path) as scene:
-        facing = np.einsum("ij,ij->i", scene.mesh.normals, [0.8, 0.0, 1.0] - scene.mesh.positions) > 0.0
+        facing = np.einsum("ij,ij->i", scene.mesh.normals, bulb - scene.mesh.positions) > 0.0
         sunk = scene.is_hidden & facing
         assert sunk.any()
         floor = slice(scene.parts[0].first, scene.parts[0].end)
