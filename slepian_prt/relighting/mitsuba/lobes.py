@@ -221,7 +221,9 @@ def _kind_table(mi: Any, materials: Iterable[Any]) -> Any:
     """UInt32 kinds of materials by their numbers in Mitsuba's registry."""
     import drjit as dr
 
-    kinds = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(one))[0]): material_kind(mi, one) for one in materials}
+    kinds = {
+        int(mi.UInt32(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(one)))[0]): material_kind(mi, one) for one in materials
+    }
     table = np.full(max(kinds, default=0) + 1, NOT_DIFFUSE, dtype=np.uint32)
     table[list(kinds)] = list(kinds.values())
     return mi.UInt32(table)
