@@ -159,8 +159,8 @@ class BoundTransfer:
         if self._bounced.unknown:
             names = ", ".join(self._bounced.unknown)
             texts.append(
-                f"{self.name} does not know the light of {names}: it falls on its shapes, but what they send each other "
-                "of it is missing"
+                f"{self.name} does not know the light of {names}: it falls on its shapes, but what they send each "
+                "other of it is missing"
             )
         if not any(True for _ in scene.emitters()):
             texts.append(f"without light the shapes of {self.name} are black")
