@@ -202,11 +202,11 @@ class SlepianIntegrator:
         hit, si = self._first_hit(scene, ray, active)  # What camera rays meet, detached
         L = mi.UnpolarizedSpectrum(0.0)
         covered = active & si.is_valid()
-        if not self._hide_emitters:
+        if not self._hide_emitters and self._max_depth != 0:
             L += mi.unpolarized_spectrum(si.emitter(scene).eval(si, active))
             covered = active & (scene.environment() is not None or si.is_valid())
 
-        met = active & si.is_valid()
+        met = active & si.is_valid() & (not 0 <= self._max_depth <= 1)
         cached = self._cache.at(ray, hit, si, met)
         material = self._lobes.at(si, cached, met)
         L += material.held_radiance(sampler)

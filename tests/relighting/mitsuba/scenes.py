@@ -6,6 +6,14 @@ import slepian_prt as sp
 from slepian_prt.sphere.harmonics import real_sh
 from tests.lighting.test_environment import grid_directions
 
+VARIANTS = [
+    "llvm_ad_rgb",
+    "llvm_ad_mono",
+    "llvm_ad_mono_polarized",
+    "llvm_ad_spectral",
+    "llvm_ad_spectral_polarized",
+]
+
 
 def sky(seed: int = 3, height: int = 32) -> np.ndarray:
     """A smooth positive map with a bright spot."""

@@ -18,6 +18,7 @@ from tests.conftest import sphere
 from tests.numerics import assert_rounded
 from tests.relighting.mitsuba.scenes import (
     SPP,
+    VARIANTS,
     camera,
     envmap,
     loaded,
@@ -29,15 +30,6 @@ from tests.relighting.mitsuba.scenes import (
     sky,
 )
 from tests.statistics import assert_agree, assert_same_picture, in_blocks
-
-VARIANTS = [
-    "llvm_ad_rgb",
-    "llvm_ad_mono",
-    "llvm_ad_mono_polarized",
-    "llvm_ad_spectral",
-    "llvm_ad_spectral_polarized",
-]
-
 
 # --- Pictures --------------------------------------------------------------------------------------------------------
 
