@@ -47,10 +47,7 @@ class FilteredTexture:
 
     def __init__(self, texture: Texture, *, is_srgb: bool, finest: int = 0) -> None:
         self._wrap = texture.wrap
-        codes = _decode(texture)
-        table = _FROM_SRGB if is_srgb else _LINEAR
-        height, width = (_shrunk(size, finest) for size in codes.shape[:2])
-        level = _first_level(codes, table, height, width)
+        level = decode_texture(texture, is_srgb=is_srgb, finest=finest)
         self._levels = [level]
         while max(level.shape[:2]) > 1:
             height, width = (_shrunk(size, 1) for size in level.shape[:2])
@@ -86,6 +83,19 @@ class FilteredTexture:
         top = (1.0 - u) * level[rows[0], columns[0]] + u * level[rows[0], columns[1]]
         bottom = (1.0 - u) * level[rows[1], columns[0]] + u * level[rows[1], columns[1]]
         return np.asarray((1.0 - v) * top + v * bottom)
+
+
+def decode_texture(texture: Texture, *, is_srgb: bool, finest: int = 0) -> NDArray[np.float32]:
+    """(H, W, 3) linear values of a texture; ``finest`` is how often it is halved.
+
+    Raises
+    ------
+    UserError
+        It is missing, or no image.
+    """
+    codes = _decode(texture)
+    height, width = (_shrunk(size, finest) for size in codes.shape[:2])
+    return _first_level(codes, _FROM_SRGB if is_srgb else _LINEAR, height, width)
 
 
 def image_size(texture: Texture) -> tuple[int, int]:
