@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.prt_file import load
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.mitsuba.held_files import HeldFile
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
@@ -33,26 +30,13 @@ def log_warning(mi: Any, text: str) -> None:
             logger.appender(number).append(level, line)
 
 
-def load_once(path: str) -> CompressedTransfer:
-    """A file, read once however many integrators and variants use it, and again when it was changed."""
-    if not os.path.isfile(path):
-        return load(path)  # which says what is wrong
-    state = os.stat(path)
-    return _load(path, state.st_mtime_ns, state.st_size)
-
-
-@lru_cache(maxsize=8)
-def _load(path: str, _changed: int, _size: int) -> CompressedTransfer:
-    return load(path)
-
-
 class BoundTransfer:
     """One file, bound to the scene that was drawn last.
 
     Parameters
     ----------
     mi : Mitsuba, in the variant of the scene
-    path : str
+    held : HeldFile
     damping : callable
         Gives factors of the degrees of the light for a bandlimit.
     use_albedo : bool
@@ -68,11 +52,12 @@ class BoundTransfer:
     """
 
     def __init__(
-        self, mi: Any, path: str, damping: Callable[[int], NDArray[np.float64]], *, use_albedo: bool = True
+        self, mi: Any, held: HeldFile, damping: Callable[[int], NDArray[np.float64]], *, use_albedo: bool = True
     ) -> None:
         self._mi = mi
-        self.name = os.path.basename(path)
-        self.packed = load_once(path)
+        self.name = held.name
+        self.packed = held.packed
+        self._lighting = held.lighting
         self.albedo = mi.TensorXf(np.ascontiguousarray(self.packed.mesh.albedo, dtype=np.float32))
         self._damping = damping(self.packed.bandlimit)
         self._use_albedo = use_albedo
@@ -113,7 +98,7 @@ class BoundTransfer:
         if self.packed.toward_view and np.abs(turn - np.eye(3)).max() > 1e-4:
             raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
         surfaces = Surfaces(self._mi, matched, self.packed.mesh)
-        self._vertex_radiance = VertexRadiance(self._mi, self.packed, turn, self._damping)
+        self._vertex_radiance = VertexRadiance(self._mi, self.packed, turn, self._damping, self._lighting)
         self._matched, self._surfaces, self._shapes = matched, surfaces, shapes
         return True
 

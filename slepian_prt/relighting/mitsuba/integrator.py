@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
+from slepian_prt.relighting.mitsuba.held_files import held_file, is_in_memory
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, srgb_to_spectrum, without_polarization
 from slepian_prt.renderer.variants import imported_mitsuba
 
@@ -146,13 +147,15 @@ class SlepianIntegrator:
 
     def __init__(self, mi: Any, properties: Any) -> None:
         self._mi = mi
-        albedo = str(properties.get("albedo", "file"))
-        if albedo not in ("file", "scene"):
-            raise UserError(f"albedo of integrator {NAME} must be 'file' or 'scene', not {albedo!r}")
+        albedo = str(properties.get("albedo", "auto"))
+        if albedo not in ("auto", "file", "scene"):
+            raise UserError(f"albedo of integrator {NAME} must be 'auto', 'file' or 'scene', not {albedo!r}")
+        properties.get("fixed_lights", 1.0)
+        properties.get("max_depth", -1)
         self._albedo_of_scene = albedo == "scene"
         damping = _damping(str(properties.get("window", "")), properties.get("window_width", 0.0))
         self._transfers = {
-            name: BoundTransfer(mi, path, damping, use_albedo=not self._albedo_of_scene)
+            name: BoundTransfer(mi, held_file(path), damping, use_albedo=not self._albedo_of_scene)
             for name, path in _transfer_paths(mi, properties).items()
         }
         for transfer in self._transfers.values():
@@ -256,7 +259,11 @@ def _transfer_paths(mi: Any, properties: Any) -> dict[str, str]:
     for name in names:
         if not isinstance(properties[name], str):
             raise UserError(f"{name} of integrator {NAME} must be the path of a file, not {properties[name]!r}")
-    return {name: str(mi.file_resolver().resolve(properties[name])) for name in names}
+    resolver = mi.file_resolver()
+    return {
+        name: properties[name] if is_in_memory(properties[name]) else str(resolver.resolve(properties[name]))
+        for name in names
+    }
 
 
 def _damping(name: str, width: float) -> Callable[[int], NDArray[np.float64]]:

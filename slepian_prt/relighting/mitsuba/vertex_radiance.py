@@ -26,6 +26,8 @@ class VertexRadiance:
         Rotation from the scene to the world of the file.
     damping : (L+1,)
         Factor of each degree of the light.
+    lighting : (3, (L+1)²), optional
+        Light in the world of the file, in place of that of emitters.
 
     Attributes
     ----------
@@ -34,19 +36,30 @@ class VertexRadiance:
     """
 
     def __init__(
-        self, mi: Any, packed: CompressedTransfer, turn: NDArray[np.float64], damping: NDArray[np.float64]
+        self,
+        mi: Any,
+        packed: CompressedTransfer,
+        turn: NDArray[np.float64],
+        damping: NDArray[np.float64],
+        lighting: NDArray[np.float64] | None = None,
     ) -> None:
         self._mi, self._packed, self._turn = mi, packed, turn
         self._damping = np.tile(damping[degrees(packed.bandlimit)], 3).astype(np.float32)
         self.negative = 0.0
         self._last_emitter: dict[str, Any] | None = None
         self._last_radiance: Any = None
+        self._of_lighting: Any = None
+        if lighting is not None:
+            self._of_lighting = self._relight(mi.Float(lighting.astype(np.float32).ravel()))
+            self.negative = negative_fraction(np.array(self._of_lighting).reshape(-1, 3))
 
     def under(self, emitter: Any) -> Any:
         """(3 V,) flat Float; what was computed last if the emitter is as it was then. Without emitter, zeros."""
         import drjit as dr
 
         mi = self._mi
+        if self._of_lighting is not None:
+            return self._of_lighting
         if emitter is None:
             return dr.zeros(mi.Float, self._packed.mesh.albedo.size)
         state = _parameters(mi, emitter)
