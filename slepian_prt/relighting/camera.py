@@ -200,10 +200,10 @@ def trace_camera(
     scale = 1.0 / np.maximum(filter_sum, 1e-12)
     alpha, behind = ((part * scale).astype(np.float32).reshape(rows, columns) for part in (covered, met - covered))
     weights = [_scaled(one, scale) for one in weights]
-    return Camera(tuple(weights), alpha, np.maximum(behind, 0.0), _middle_directions(scene.mi, view))
+    return Camera(tuple(weights), alpha, np.maximum(behind, 0.0), middle_directions(scene.mi, view))
 
 
-def _middle_directions(mi: Any, view: Any) -> NDArray[np.float32]:
+def middle_directions(mi: Any, view: Any) -> NDArray[np.float32]:
     """(H, W, 3) directions through the middles of the pixels."""
     columns, rows = (int(n) for n in view.film().size())
     pixel = np.arange(rows * columns)

@@ -10,8 +10,9 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,12 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_folder, check_writable
-from slepian_prt.lighting.environment import Environment
-from slepian_prt.relighting.backdrop import draw_backdrop
-from slepian_prt.relighting.camera import Camera, relit_camera
 from slepian_prt.relighting.coloured_mesh import write_ply
-from slepian_prt.relighting.pictures import MAP, TRANSPARENT, Finish, Picture, exposure, to_srgb, write_picture
-from slepian_prt.relighting.series import Series
+from slepian_prt.relighting.drawings import Lit, Taking, open_drawing
+from slepian_prt.relighting.pictures import TRANSPARENT, Finish, Picture, exposure, to_srgb, write_picture
+from slepian_prt.relighting.series import Series, read_environments
+from slepian_prt.relighting.shots import Shots
+from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.view import Aim
 
@@ -50,12 +51,23 @@ class Wish:
         Of the camera.
     finish : Finish
         Background and exposure.
+    scene : str or None
+        What the transfer was made from, where it is not where it was.
+    samples : int or None
+        Of each pixel of a gathered picture.
     """
 
     suffix: str = ".png"
     width: int | None = None
     aim: Aim = field(default_factory=Aim)
     finish: Finish = field(default_factory=Finish)
+    scene: str | None = None
+    samples: int | None = None
+
+    @property
+    def taking(self) -> Taking:
+        """How pictures are taken."""
+        return Taking(self.width, self.aim, self.scene, self.samples)
 
     def of(self, output: str) -> str:
         """The kind of file that is written."""
@@ -74,6 +86,7 @@ class Wish:
             "look_at": self.aim.look_at is not None,
             "fov": self.aim.fov is not None,
             "background": self.finish.background != TRANSPARENT,
+            "samples": self.samples is not None,
         }
         given = [] if self.draws(output) else [name for name, is_asked in asked.items() if is_asked]
         return [*given, *(["exposure"] if kind == ".npz" and self.finish.exposure else [])]
@@ -85,6 +98,7 @@ def write_relit(
     series: Series,
     wish: Wish,
     report: Callable[[str], None] = lambda _: None,
+    file: str = "",
 ) -> None:
     """Write radiance as what the name of the output says.
 
@@ -98,16 +112,39 @@ def write_relit(
     wish : Wish
     report : callable
         Given a line about each thing worth knowing.
+    file : str
+        Of the transfer: what it was made from is looked for beside it.
     """
-    mesh, kind = packed.mesh, Path(output).suffix.lower()
-    shots = None
     if unused := wish.unused(output):
         report(f"{output}: {', '.join(f'`{name}`' for name in unused)} have no effect on {wish.of(output)} files")
-    if wish.draws(output):
-        camera = relit_camera(packed, wish.width, wish.aim)
-        if not camera.alpha.any():
+    with mitsuba() as mi:
+        shots = _shots(mi, packed, series, wish, file, report) if wish.draws(output) else None
+        if shots is not None and not shots.drawing.picture(0).alpha.any():
             report(f"{output}: the camera sees no front of any surface; the picture is empty")
-        shots = Shots(camera, wish.finish, series.environments)
+        _write(output, packed, series, wish, shots, report)
+
+
+def _shots(
+    mi: Any, packed: CompressedTransfer, series: Series, wish: Wish, file: str, report: Callable[[str], None]
+) -> Shots:
+    assert series.lighting is not None
+    lights, lit = series.lights, Lit(series.lighting, series.radiance)
+    if lights is not None:
+        maps = (lambda: series.environments) if lights.shown else (lambda: read_environments(lights))
+        lit = replace(lit, environments=maps, own_turns=None if lights.maps else lights.own_turns)
+    drawing = open_drawing(mi, packed, lit, wish.taking, file, report)
+    return Shots(drawing, len(series.names), wish.finish, series.environments)
+
+
+def _write(
+    output: str,
+    packed: CompressedTransfer,
+    series: Series,
+    wish: Wish,
+    shots: Shots | None,
+    report: Callable[[str], None],
+) -> None:
+    mesh, kind = packed.mesh, Path(output).suffix.lower()
     if kind not in (*SUFFIXES, FILM):
         write_series(output, series, mesh, wish, shots)
     elif kind == ".npz":
@@ -117,10 +154,10 @@ def write_relit(
         report(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
     elif kind == FILM:
         assert shots is not None
-        write_film(output, shots, series.radiance)
+        write_film(output, shots)
     else:
         assert shots is not None
-        write_picture(output, *shots.take(series.radiance[0], 0), finish=wish.finish)
+        write_picture(output, *shots.take(0), finish=wish.finish)
 
 
 def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray, names: Sequence[str]) -> None:
@@ -158,35 +195,6 @@ def _vertex_picture(mesh: Mesh, radiance: NDArray) -> Picture:
     return Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
 
 
-@dataclass(frozen=True)
-class Shots:
-    """A camera, and how its pictures are shown.
-
-    Attributes
-    ----------
-    camera : Camera
-    finish : Finish
-    environments : tuple of Environment
-        One for each light, where the background is the map.
-    """
-
-    camera: Camera
-    finish: Finish
-    environments: tuple[Environment, ...] = ()
-
-    def take(self, radiance: NDArray, number: int) -> tuple[Picture, float]:
-        """The picture under one light, (V, 3), with the environment behind it, and what exposes it by itself."""
-        picture = self.camera.picture(radiance)
-        scale = exposure(picture)
-        if self.finish.background == MAP:
-            picture = picture.over(draw_backdrop(self.environments[number], self.camera.directions))
-        return picture, scale
-
-    def common_exposure(self, radiance: NDArray) -> float:
-        """One exposure for all lights (B, V, 3): that of the brightest."""
-        return min(exposure(self.camera.picture(one)) for one in radiance)
-
-
 def write_series(folder: str | Path, series: Series, mesh: Mesh, wish: Wish, shots: Shots | None) -> None:
     """One file for each light, all with the same exposure; complete or none of them.
 
@@ -214,9 +222,9 @@ def write_series(folder: str | Path, series: Series, mesh: Mesh, wish: Wish, sho
                 write_coloured_mesh(path, mesh, one, scale, wish.finish.factor)
         else:
             assert shots is not None
-            scale = shots.common_exposure(series.radiance)
-            for number, (path, one) in enumerate(files):
-                write_picture(path, shots.take(one, number)[0], scale, wish.finish)
+            scale = shots.common_exposure()
+            for number, (path, _) in enumerate(files):
+                write_picture(path, shots.take(number)[0], scale, wish.finish)
 
 
 @contextmanager
@@ -260,8 +268,8 @@ def film_encoder() -> str:
         ) from None
 
 
-def write_film(path: str | Path, shots: Shots, radiance: NDArray) -> None:
-    """``.mp4`` of relit pictures (B, V, 3), over white unless there is a background, all with the same exposure.
+def write_film(path: str | Path, shots: Shots) -> None:
+    """``.mp4`` of relit pictures, over white unless there is a background, all with the same exposure.
 
     Raises
     ------
@@ -269,10 +277,10 @@ def write_film(path: str | Path, shots: Shots, radiance: NDArray) -> None:
         There is no encoder, or it fails.
     """
     encoder = film_encoder()
-    scale = shots.common_exposure(radiance) * shots.finish.factor
+    scale = shots.common_exposure() * shots.finish.factor
     background = 1.0 if shots.finish.colour is None else shots.finish.colour
     # Encoders halve the resolution of colour: sides are even.
-    height, width = (n - n % 2 for n in shots.camera.alpha.shape)
+    height, width = (n - n % 2 for n in shots.size)
     with atomic_output(path) as file, tempfile.TemporaryDirectory() as folder:
         film = Path(folder) / "film.mp4"
         command = [
@@ -280,8 +288,8 @@ def write_film(path: str | Path, shots: Shots, radiance: NDArray) -> None:
             f"{width}x{height}", "-framerate", str(_FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(film),
         ]  # fmt: skip
         frames = (
-            to_srgb(shots.take(one, number)[0], scale, background)[:height, :width].tobytes()
-            for number, one in enumerate(radiance)
+            to_srgb(shots.take(number)[0], scale, background)[:height, :width].tobytes()
+            for number in range(shots.count)
         )
         run = subprocess.run(command, input=b"".join(frames), capture_output=True)
         if run.returncode != 0 or not film.is_file():

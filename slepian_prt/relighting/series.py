@@ -99,6 +99,11 @@ class Lights:
         return [about_axis(self.up, number * 360.0 / count) for number in range(count)]
 
     @property
+    def own_turns(self) -> list[NDArray[np.float64]]:
+        """Rotation matrices of a light that stands as its scene has it, one for each result."""
+        return [turn @ about_axis(self.up, self.rotate) for turn in self.turns]
+
+    @property
     def stand(self) -> NDArray[np.float64]:
         """The rotation that maps are put up with."""
         return up_rotation(self.up) @ about_up(self.rotate)
@@ -120,11 +125,17 @@ class Series:
     radiance : (B, V, 3) float32
     environments : tuple of Environment
         The lights as they stand, if they are to be seen.
+    lighting : (B, 3, (L+1)²) or None
+        What the radiance is of.
+    lights : Lights or None
+        What was asked for.
     """
 
     names: tuple[str, ...]
     radiance: NDArray[np.float32]
     environments: tuple[Environment, ...] = ()
+    lighting: NDArray[np.float64] | None = None
+    lights: Lights | None = None
 
 
 def relight_series(
@@ -161,10 +172,11 @@ def relight_series(
             f"{most}{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit"
             f"{remedy})"
         )
-    return Series(lights.names, radiance, _read_environments(lights) if lights.shown else ())
+    environments = read_environments(lights) if lights.shown else ()
+    return Series(lights.names, radiance, environments, lighting, lights)
 
 
-def _read_environments(lights: Lights) -> tuple[Environment, ...]:
+def read_environments(lights: Lights) -> tuple[Environment, ...]:
     """The maps as they stand, one for each result."""
     stood = [
         replace(light, to_world=lights.stand @ light.to_world)

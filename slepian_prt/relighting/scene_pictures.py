@@ -1,0 +1,204 @@
+"""Pictures of a Mitsuba scene by final gathering, with the transfer file as the cache of radiance.
+
+The integrator `slepian_prt` follows what the file does not hold (mirrors, glass, gloss, shapes without vertices) until
+a surface is met that it does hold; textures are looked up at the point seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.relighting.camera import aim_camera, middle_directions
+from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
+from slepian_prt.relighting.pictures import Picture
+from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.sensors import sensor
+from slepian_prt.scene.view import Aim
+from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
+
+# Samples of each pixel are taken so many at a time, and no longer once the picture has less than this noise (relative
+# RMS, measured from one such batch to the next), or so many are taken.
+_BATCH, _NOISE, _MOST_SAMPLES = 8, 0.01, 64
+
+# Rays that are followed at once.
+_RAYS = 1 << 20
+
+_SEED = 17
+
+# Of a map that is made from coefficients, in texels.
+_ROWS = 64
+
+
+class Light(NamedTuple):
+    """One light that a scene is drawn under.
+
+    Attributes
+    ----------
+    lighting : (3, (L+1)²) or None
+        What the file's surfaces are lit by, in the world of the file; None for nothing distant.
+    environment : Environment or None
+        What mirrors show; None for what the coefficients tell of it.
+    """
+
+    lighting: NDArray[np.float64] | None
+    environment: Environment | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SceneCamera:
+    """A view of a Mitsuba scene.
+
+    Attributes
+    ----------
+    mi : Mitsuba, in the variant of the scene
+    packed : CompressedTransfer
+    loaded : Mitsuba scene
+        Its shapes and lamps are drawn, its distant light is replaced.
+    sensor : Mitsuba sensor
+    samples : int or None
+        Of each pixel; None for as many as the noise asks for.
+    fixed_lights : float
+        What the light of lamps is multiplied by.
+    """
+
+    mi: Any
+    packed: CompressedTransfer
+    loaded: Any
+    sensor: Any
+    samples: int | None = None
+    fixed_lights: float = 1.0
+
+    @property
+    def directions(self) -> NDArray[np.float32]:
+        """(H, W, 3) through the middles of the pixels, in world space."""
+        return middle_directions(self.mi, self.sensor)
+
+    def picture(self, light: Light) -> Picture:
+        """The scene under a light, against an empty background."""
+        mi = self.mi
+        with _quiet(mi):
+            integrator = scene_integrator(
+                mi, self.packed, lighting=light.lighting, fixed_lights=self.fixed_lights, hide_emitters=False
+            )
+            scene = _relit_scene(mi, self.loaded, light)
+            return _gather(mi, scene, integrator, self.sensor, self.samples)
+
+
+def scene_camera(
+    mi: Any, packed: CompressedTransfer, loaded: Any, origin: NDArray[np.float64], width: int, aim: Aim | None
+) -> SceneCamera:
+    """The camera that `relit_camera` gives, in a Mitsuba scene whose origin is that point of the world."""
+    with open_scene(packed.mesh) as scene:
+        aimed = aim_camera(replace(scene, view=packed.view), aim, width, toward_view=packed.toward_view)
+    in_scene = replace(aimed, mi=mi, origin=origin, scale=1.0)
+    return SceneCamera(mi, packed, loaded, sensor(in_scene, width))
+
+
+def own_environment(mi: Any, loaded: Any, origin: str) -> Environment | None:
+    """The scene's own distant light."""
+    emitter = loaded.environment()
+    return None if emitter is None else emitted_environment(mi, emitter, origin)
+
+
+def environment_of(lighting: NDArray[np.float64]) -> Environment:
+    """A map of what coefficients (3, (L+1)²) tell of a light; where they ring below zero it is black."""
+    v, u = np.meshgrid(
+        np.pi * np.arange(_ROWS) / (_ROWS - 1), np.pi * (np.arange(2 * _ROWS) + 0.5) / _ROWS, indexing="ij"
+    )
+    directions = np.stack([np.sin(v) * np.sin(u), np.cos(v), -np.sin(v) * np.cos(u)], axis=-1)
+    values = real_sh(bandlimit_of(lighting.shape[1]), directions.reshape(-1, 3)) @ lighting.T
+    texels = np.maximum(values, 0.0).reshape(_ROWS, 2 * _ROWS, 3)
+    return Environment("coefficients", texels.astype(np.float32), np.eye(3))
+
+
+def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
+    """The shapes and lamps of a scene under another distant light."""
+    entries: dict[str, Any] = {f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
+    on_shapes = mi.EmitterFlags.Surface
+    for index, emitter in enumerate(loaded.emitters()):
+        if not emitter.is_environment() and not mi.has_flag(emitter.flags(), on_shapes):
+            entries[f"emitter_{index}"] = emitter
+    environment = light.environment
+    if environment is None and light.lighting is not None:
+        environment = environment_of(light.lighting)
+    if environment is not None:
+        entries["environment"] = environment_emitter(mi, environment)
+    return mi.load_dict({"type": "scene", **entries})
+
+
+@contextmanager
+def _quiet(mi: Any) -> Iterator[None]:
+    """Without Mitsuba's warnings, which go to standard output."""
+    level = mi.log_level()
+    try:
+        mi.set_log_level(mi.LogLevel.Error)
+        yield
+    finally:
+        mi.set_log_level(level)
+
+
+def _gather(mi: Any, scene: Any, integrator: Any, view: Any, samples: int | None) -> Picture:
+    """Mean radiance of each pixel over what rays meet, and the part of them that meet anything."""
+    columns, rows = (int(n) for n in view.film().size())
+    pixels = rows * columns
+    batches = math.ceil((samples or _MOST_SAMPLES) / _BATCH)
+    total, squares, covered = np.zeros((pixels, 3)), np.zeros((pixels, 3)), np.zeros(pixels)
+    taken = 0
+    for batch in range(batches):
+        count = _BATCH if samples is None else min(_BATCH, samples - taken)
+        mean = np.empty((pixels, 4))
+        each = max(_RAYS // count, 1)
+        for first in range(0, pixels, each):
+            chosen = np.arange(first, min(first + each, pixels))
+            mean[chosen] = _trace(mi, scene, integrator, view, chosen, range(taken, taken + count))
+        total += count * mean[:, :3]
+        squares += count * mean[:, :3] ** 2
+        covered += count * mean[:, 3]
+        taken += count
+        if samples is None and batch > 0 and _noise(total / taken, squares / taken, batch + 1) <= _NOISE:
+            break
+    radiance = (total / taken).reshape(rows, columns, 3).astype(np.float32)
+    return Picture(radiance, (covered / taken).reshape(rows, columns).astype(np.float32))
+
+
+def _noise(mean: NDArray, mean_square: NDArray, batches: int) -> float:
+    """Relative RMS error of the mean of equal batches, from their variance."""
+    variance = np.maximum(mean_square - mean**2, 0.0) / (batches - 1)
+    return math.sqrt(float(variance.sum()) / max(float((mean**2).sum()), 1e-300))
+
+
+def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, numbers: range) -> NDArray[np.float64]:
+    """(n, 4) means of radiance where rays meet something, and of whether they do, over some samples of pixels."""
+    import drjit as dr
+
+    columns, rows = (int(n) for n in view.film().size())
+    lanes = len(pixels) * len(numbers)
+    pixel = np.repeat(pixels, len(numbers))
+    # Each pixel takes the points of one low-discrepancy sequence in turn (Roberts 2018), shifted by its own offset.
+    step = np.array([0.7548776662466927, 0.5698402909980532])
+    shift = np.random.default_rng(_SEED).random((rows * columns, 2))[pixel]
+    inside = (shift + np.tile(np.array(numbers), len(pixels))[:, None] * step) % 1.0
+    x, y = (pixel % columns + inside[:, 0]) / columns, (pixel // columns + inside[:, 1]) / rows
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(mi.UInt32(_SEED + numbers.start * (rows * columns) + int(pixels[0])), lanes)
+    place = mi.Point2f(x.astype(np.float32), y.astype(np.float32))
+    ray, _ = view.sample_ray_differential(0.0, 0.5, place, sampler.next_2d())
+    ray.scale_differential(1.0 / math.sqrt(len(numbers)))
+    with dr.suspend_grad():
+        met = scene.ray_test(ray)
+        radiance, _, _ = integrator.sample(scene, sampler, ray, None, met)
+        values = [*(dr.select(met, channel, 0.0) for channel in radiance), mi.Float(met)]
+        dr.eval(values)
+    return np.stack(
+        [np.array(value, dtype=np.float64).reshape(len(pixels), -1).mean(axis=1) for value in values], axis=1
+    )
