@@ -45,7 +45,7 @@ from slepian_prt.cli.values import Names, read_transfer, settings_of
 @click.option(
     "--format",
     "kind",
-    type=click.Choice(["png", "exr", "npz", "ply"]),
+    type=click.Choice(["png", "exr", "npz", "ply", "glb"]),
     default="png",
     show_default=True,
     help="Of the files in a folder.",
@@ -66,7 +66,7 @@ def relight(
     output: str,
     **options: Any,
 ) -> None:
-    """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr).
+    """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply, .glb) or picture (.png, .exr).
 
     Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
     """

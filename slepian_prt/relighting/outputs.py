@@ -5,8 +5,6 @@ From here on radiance is drawn: on the mesh that its receivers are the vertices 
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,15 +12,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output, check_folder, check_writable
-from slepian_prt.relighting.coloured_mesh import write_ply
+from slepian_prt.files import check_folder, check_writable
 from slepian_prt.relighting.drawings import Lit, Taking, open_drawing
-from slepian_prt.relighting.pictures import TRANSPARENT, Finish, Picture, exposure, to_srgb, write_picture
+from slepian_prt.relighting.films import film_encoder, write_film
+from slepian_prt.relighting.mesh_outputs import GLB, PLY, Canvas, Wanted, make_canvas, write_radiance
+from slepian_prt.relighting.pictures import TRANSPARENT, Finish, write_picture
 from slepian_prt.relighting.series import Series, read_environments
 from slepian_prt.relighting.shots import Shots
 from slepian_prt.renderer.variants import mitsuba
@@ -31,10 +27,9 @@ from slepian_prt.scene.view import Aim
 
 # Of one result; several go to a folder, to one .npz, or to a film.
 PICTURES = (".png", ".exr")
-SUFFIXES = (".npz", ".ply", *PICTURES)
+MESHES = (PLY, GLB)
+SUFFIXES = (".npz", *MESHES, *PICTURES)
 FILM = ".mp4"
-
-_FRAMES_PER_SECOND = 30
 
 
 @dataclass(frozen=True)
@@ -118,10 +113,17 @@ def write_relit(
     if unused := wish.unused(output):
         report(f"{output}: {', '.join(f'`{name}`' for name in unused)} have no effect on {wish.of(output)} files")
     with mitsuba() as mi:
-        shots = _shots(mi, packed, series, wish, file, report) if wish.draws(output) else None
-        if shots is not None and not shots.drawing.picture(0).alpha.any():
-            report(f"{output}: the camera sees no front of any surface; the picture is empty")
-        _write(output, packed, series, wish, shots, report)
+        if wish.draws(output):
+            shots = _shots(mi, packed, series, wish, file, report)
+            if not shots.drawing.picture(0).alpha.any():
+                report(f"{output}: the camera sees no front of any surface; the picture is empty")
+            _write_shots(output, shots, series.names, wish)
+        elif wish.of(output) == ".npz":
+            _write_numbers(output, series, packed.mesh)
+        else:
+            wanted = Wanted(wish.of(output), wish.aim.axis, wish.scene)
+            canvas = make_canvas(mi, packed, series, wanted, file, report)
+            _write_meshes(output, canvas, series.names, wish, report)
 
 
 def _shots(
@@ -136,99 +138,44 @@ def _shots(
     return Shots(drawing, len(series.names), wish.finish, series.environments)
 
 
-def _write(
-    output: str,
-    packed: CompressedTransfer,
-    series: Series,
-    wish: Wish,
-    shots: Shots | None,
-    report: Callable[[str], None],
-) -> None:
-    mesh, kind = packed.mesh, Path(output).suffix.lower()
-    if kind not in (*SUFFIXES, FILM):
-        write_series(output, series, mesh, wish, shots)
-    elif kind == ".npz":
-        write_radiance(output, mesh, series.radiance if len(series.names) > 1 else series.radiance[0], series.names)
-    elif kind == ".ply":
-        scale = write_coloured_mesh(output, mesh, series.radiance[0], factor=wish.finish.factor)
-        report(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
-    elif kind == FILM:
-        assert shots is not None
+def _write_shots(output: str, shots: Shots, names: Sequence[str], wish: Wish) -> None:
+    """A picture, a film, or a folder of pictures with the same exposure."""
+    kind = Path(output).suffix.lower()
+    if kind == FILM:
         write_film(output, shots)
-    else:
-        assert shots is not None
+    elif kind in PICTURES:
         write_picture(output, *shots.take(0), finish=wish.finish)
+    else:
+        scale = shots.common_exposure()
+        with complete_folder(output) as folder:
+            for number, name in enumerate(names):
+                write_picture(folder / f"{name}{wish.suffix}", shots.take(number)[0], scale, wish.finish)
 
 
-def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray, names: Sequence[str]) -> None:
-    """``.npz`` with radiance and the mesh.
-
-    ``radiance`` (V, 3) or (B, V, 3) float32, linear RGB; ``names`` (B,) of the lights; ``positions`` (V, 3) float64,
-    ``normals`` (V, 3) float32, ``faces`` (F, 3) int32.
-    """
-    with atomic_output(path) as file:
-        np.savez(
-            file,
-            radiance=np.asarray(radiance, dtype=np.float32),
-            names=np.array(names, dtype=np.str_),
-            positions=mesh.positions,
-            normals=mesh.normals.astype(np.float32),
-            faces=mesh.faces,
-        )
+def _write_numbers(output: str, series: Series, mesh: Mesh) -> None:
+    """Radiance of the vertices, in one file or a folder of them."""
+    if Path(output).suffix.lower() == ".npz":
+        radiance = series.radiance if len(series.names) > 1 else series.radiance[0]
+        write_radiance(output, mesh, radiance, series.names)
+        return
+    with complete_folder(output) as folder:
+        for name, one in zip(series.names, series.radiance, strict=True):
+            write_radiance(folder / f"{name}.npz", mesh, one, [name])
 
 
-def write_coloured_mesh(
-    path: str | Path, mesh: Mesh, radiance: NDArray, scale: float | None = None, factor: float = 1.0
-) -> float:
-    """``.ply`` with tone-mapped sRGB colours per vertex.
-
-    Returns the exposure that they were scaled with: ``scale``, by default that of `exposure`, times ``factor``.
-    """
-    vertices = _vertex_picture(mesh, radiance)
-    scale = (exposure(vertices) if scale is None else scale) * factor
-    write_ply(path, mesh, to_srgb(vertices, scale)[0])
-    return scale
-
-
-def _vertex_picture(mesh: Mesh, radiance: NDArray) -> Picture:
-    """Radiance (V, 3) as a picture of one row, whose pixels are the vertices."""
-    return Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
-
-
-def write_series(folder: str | Path, series: Series, mesh: Mesh, wish: Wish, shots: Shots | None) -> None:
-    """One file for each light, all with the same exposure; complete or none of them.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it is not there; its other files are left alone.
-    series : Series
-        Its names are those of the files.
-    mesh : Mesh
-    wish : Wish
-    shots : Shots
-        For pictures.
-    """
-    with _complete_folder(folder) as unfinished:
-        files = [
-            (unfinished / f"{name}{wish.suffix}", one) for name, one in zip(series.names, series.radiance, strict=True)
-        ]
-        if wish.suffix == ".npz":
-            for (path, one), name in zip(files, series.names, strict=True):
-                write_radiance(path, mesh, one, [name])
-        elif wish.suffix == ".ply":
-            scale = min(exposure(_vertex_picture(mesh, one)) for one in series.radiance)
-            for path, one in files:
-                write_coloured_mesh(path, mesh, one, scale, wish.finish.factor)
-        else:
-            assert shots is not None
-            scale = shots.common_exposure()
-            for number, (path, _) in enumerate(files):
-                write_picture(path, shots.take(number)[0], scale, wish.finish)
+def _write_meshes(output: str, canvas: Canvas, names: Sequence[str], wish: Wish, report: Callable[[str], None]) -> None:
+    """A mesh with colours, or a folder of them with the same exposure."""
+    if Path(output).suffix.lower() in MESHES:
+        report(f"{output}: {canvas.write(output, 0, factor=wish.finish.factor)}")
+        return
+    scale = canvas.exposure()
+    with complete_folder(output) as folder:
+        for number, name in enumerate(names):
+            canvas.write(folder / f"{name}{wish.suffix}", number, scale, wish.finish.factor)
 
 
 @contextmanager
-def _complete_folder(folder: str | Path) -> Iterator[Path]:
+def complete_folder(folder: str | Path) -> Iterator[Path]:
     """A new folder whose files are moved to their place when the with-block ends well."""
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -242,60 +189,6 @@ def _complete_folder(folder: str | Path) -> Iterator[Path]:
                 file.replace(folder / file.name)
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from None
-
-
-# --- Films -----------------------------------------------------------------------------------------------------------
-
-
-def film_encoder() -> str:
-    """Path of ffmpeg.
-
-    Raises
-    ------
-    UserError
-        There is none.
-    """
-    installed = shutil.which("ffmpeg")
-    if installed:
-        return installed
-    try:
-        import imageio_ffmpeg
-
-        return str(imageio_ffmpeg.get_ffmpeg_exe())
-    except (ImportError, RuntimeError):
-        raise UserError(
-            "films need ffmpeg; install it, or `pip install imageio-ffmpeg`, or name a folder for the pictures"
-        ) from None
-
-
-def write_film(path: str | Path, shots: Shots) -> None:
-    """``.mp4`` of relit pictures, over white unless there is a background, all with the same exposure.
-
-    Raises
-    ------
-    UserError
-        There is no encoder, or it fails.
-    """
-    encoder = film_encoder()
-    scale = shots.common_exposure() * shots.finish.factor
-    background = 1.0 if shots.finish.colour is None else shots.finish.colour
-    # Encoders halve the resolution of colour: sides are even.
-    height, width = (n - n % 2 for n in shots.size)
-    with atomic_output(path) as file, tempfile.TemporaryDirectory() as folder:
-        film = Path(folder) / "film.mp4"
-        command = [
-            encoder, "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size",
-            f"{width}x{height}", "-framerate", str(_FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(film),
-        ]  # fmt: skip
-        frames = (
-            to_srgb(shots.take(number)[0], scale, background)[:height, :width].tobytes()
-            for number in range(shots.count)
-        )
-        run = subprocess.run(command, input=b"".join(frames), capture_output=True)
-        if run.returncode != 0 or not film.is_file():
-            said = run.stderr.decode(errors="replace").strip().splitlines()
-            raise UserError(f"{path}: ffmpeg could not encode the film ({said[-1] if said else 'it says nothing'})")
-        file.write(film.read_bytes())
 
 
 # --- Before the work -------------------------------------------------------------------------------------------------
@@ -314,7 +207,7 @@ def check_output(output: str, inputs: Sequence[str | Path], names: Sequence[str]
         Whether there are several results.
     """
     suffix = Path(output).suffix.lower()
-    if several and suffix in (".png", ".exr", ".ply"):
+    if several and suffix in (*PICTURES, *MESHES):
         raise UserError(f"{output}: is one file for several results; name a folder, or one .npz or .mp4")
     if suffix == FILM:
         if not several:
