@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.mitsuba.bounced_light import BouncedLight
 from slepian_prt.relighting.mitsuba.held_files import HeldFile
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
-from slepian_prt.scene.materials import diffuse_reflectance, left_out
+from slepian_prt.scene.materials import diffuse_reflectance
 
 # Warned of: mean reflectance of a material below this, where the file knows none; fraction of negative vertices above.
 _ALL_REFLECTED = 0.99
@@ -39,8 +40,8 @@ class BoundTransfer:
     held : HeldFile
     damping : callable
         Gives factors of the degrees of the light for a bandlimit.
-    use_albedo : bool
-        Whether radiance is multiplied with the albedo of the file.
+    fixed_lights : float
+        Factor of what lamps send.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class BoundTransfer:
     """
 
     def __init__(
-        self, mi: Any, held: HeldFile, damping: Callable[[int], NDArray[np.float64]], *, use_albedo: bool = True
+        self, mi: Any, held: HeldFile, damping: Callable[[int], NDArray[np.float64]], *, fixed_lights: float = 1.0
     ) -> None:
         self._mi = mi
         self.name = held.name
@@ -60,15 +61,16 @@ class BoundTransfer:
         self._lighting = held.lighting
         self.albedo = mi.TensorXf(np.ascontiguousarray(self.packed.mesh.albedo, dtype=np.float32))
         self._damping = damping(self.packed.bandlimit)
-        self._use_albedo = use_albedo
+        self._fixed_lights = fixed_lights
         self._warned_of_negative = False
         # Of the scene that was drawn last. It is not held itself, because it holds the integrator; its shapes are, so
         # that no others are taken for them.
         self._shapes: list[Any] = []
-        self._emitter: Any = None
         self._matched: Any = None
         self._surfaces: Any = None
         self._vertex_radiance: Any = None
+        self._bounced: Any = None
+        self._unlit: Any = None
 
     def check_albedo(self) -> None:
         """Raise UserError if its shape was changed."""
@@ -88,7 +90,6 @@ class BoundTransfer:
         UserError
             As `match_shapes`; or transfer toward a camera in a model that is turned.
         """
-        self._emitter = scene.environment()
         shapes = list(scene.shapes())
         same = self._matched is not None and [s.ptr for s in shapes] == [s.ptr for s in self._shapes]
         if same and not self._matched.vertices_changed(self._mi):
@@ -99,49 +100,75 @@ class BoundTransfer:
             raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
         surfaces = Surfaces(self._mi, matched, self.packed.mesh)
         self._vertex_radiance = VertexRadiance(self._mi, self.packed, turn, self._damping, self._lighting)
+        self._bounced = BouncedLight(self._mi, self.packed.fixed, scene, self._fixed_lights)
         self._matched, self._surfaces, self._shapes = matched, surfaces, shapes
         return True
 
-    def radiance(self, ray: Any, hit: Any, si: Any, active: Any) -> tuple[Any, Any]:
-        """Whether rays meet the front of the surfaces (Bool), and linear sRGB radiance there (Color3f).
+    def light(self, scene: Any) -> None:
+        """Light the vertices as the scene that is bound has it now."""
+        self._unlit = self._vertex_radiance.under(scene.environment())  # for unit albedo
+        self._warn_of_negative()
+        bounced = self._bounced.now()
+        if bounced is not None:
+            self._unlit = self._unlit + bounced
 
-        The arguments are those of `Surfaces.intersect`.
+    def at(self, ray: Any, hit: Any, si: Any, active: Any, *, detached: bool) -> tuple[Any, Any, Any, Any]:
+        """Whether this file holds what rays meet, and radiance for unit albedo, radiance and albedo as `Cached`.
+
+        Parameters
+        ----------
+        ray, hit, si, active
+            As of `Surfaces.intersect`.
+        detached : bool
+            Whether gradients stop here.
         """
         import drjit as dr
 
         mi = self._mi
-        unlit = self._vertex_radiance.under(self._emitter)  # for unit albedo
-        self._warn_of_negative()
         with dr.suspend_grad():  # geometry is not differentiated
             surface = self._surfaces.intersect(ray, hit, si, active)
+        unlit, albedo = self._unlit, self.albedo.array
+        if detached:
+            unlit, albedo = dr.detach(unlit), dr.detach(albedo)
+        else:
             self._check_camera(ray, surface.valid)
-        radiance = mi.Color3f(0.0)
+        unlit_here, radiance, albedo_here = mi.Color3f(0.0), mi.Color3f(0.0), mi.Color3f(0.0)
         for vertex, weight in zip(surface.vertices, surface.weights, strict=True):
-            reflected = dr.gather(mi.Color3f, unlit, vertex, surface.valid)
-            if self._use_albedo:
-                reflected *= dr.gather(mi.Color3f, self.albedo.array, vertex, surface.valid)
-            radiance += weight * reflected
-        return surface.valid, radiance
+            received = weight * dr.gather(mi.Color3f, unlit, vertex, surface.valid)
+            reflected = dr.gather(mi.Color3f, albedo, vertex, surface.valid)
+            unlit_here += received
+            radiance += received * reflected
+            albedo_here += weight * reflected
+        return surface.valid, unlit_here, radiance, albedo_here
 
-    def material_warnings(self) -> list[str]:
-        """What the scene's materials say and is drawn otherwise; of the scene that was bound."""
-        mi, matched = self._mi, self._matched
+    def held_shapes(self) -> list[tuple[Any, int]]:
+        """Shapes of the scene that is bound that are surely held wherever they are met, and on how many sides."""
+        return [(shape, part.sides) for shape, part in self._matched.meshes]
+
+    def warnings(self, scene: Any) -> list[str]:
+        """What of the scene that is bound is drawn otherwise than it says."""
         texts = []
-        if not self.packed.toward_view:
-            names = {part.name for part in self.packed.parts}
-            shapes = [shape for shape, _ in matched.meshes]
-            shapes += [shape for shape in self._shapes if shape.id() in names and shape not in shapes]
-            for shape in shapes:
-                texts += [f"not drawn: {effect}" for effect in left_out(mi, shape.bsdf(), shape.id(), view=False)]
-        file_says_nothing = np.all(self.packed.mesh.albedo == 1.0)
-        if mi.is_rgb and self._use_albedo and not self.packed.toward_view and file_says_nothing:
-            for shape, part in matched.meshes:
-                reflectance = self._mean_reflectance(matched, shape, part_vertices(part))
-                if reflectance is not None and reflectance < _ALL_REFLECTED:
-                    texts.append(
-                        f"shape '{part.name}' reflects all light, as {self.name} has it; its material here reflects "
-                        f"{reflectance:.2f}, which albedo 'scene' follows"
-                    )
+        if self._bounced.unknown:
+            texts.append(
+                f"{self.name} does not know the light of {', '.join(self._bounced.unknown)}: it is drawn, but not what "
+                "surfaces send each other of it"
+            )
+        if not any(True for _ in scene.emitters()):
+            texts.append(f"without light the shapes of {self.name} are black")
+        return texts + self._albedo_warnings()
+
+    def _albedo_warnings(self) -> list[str]:
+        """Of a file that says nothing of materials, and a scene that does."""
+        if not self._mi.is_rgb or self.packed.toward_view or not np.all(self.packed.mesh.albedo == 1.0):
+            return []
+        texts = []
+        for shape, part in self._matched.meshes:
+            reflectance = self._mean_reflectance(self._matched, shape, part_vertices(part))
+            if reflectance is not None and reflectance < _ALL_REFLECTED:
+                texts.append(
+                    f"shape '{part.name}' reflects all light, as {self.name} has it; its material here reflects "
+                    f"{reflectance:.2f}, which albedo 'scene' follows"
+                )
         return texts
 
     def _mean_reflectance(self, matched: MatchedShapes, shape: Any, vertices: slice) -> float | None:

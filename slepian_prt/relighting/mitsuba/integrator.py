@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
+from slepian_prt.relighting.mitsuba.cache import RadianceCache
+from slepian_prt.relighting.mitsuba.gathering import Gatherer
 from slepian_prt.relighting.mitsuba.held_files import held_file, is_in_memory
-from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, srgb_to_spectrum, without_polarization
+from slepian_prt.relighting.mitsuba.lamps import Lamps
+from slepian_prt.relighting.mitsuba.lobes import LAMBERTIAN, PLAIN, Lobes, material_kind
+from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
 from slepian_prt.renderer.variants import imported_mitsuba
 
 NAME = "slepian_prt"
-
-# What is handed on to the integrator that draws everything else.
-_OF_DIRECT = ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters")
 
 _registered: set[str] = set()
 
@@ -70,7 +71,7 @@ def _plugin_class(mi: Any) -> Any:
 
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
-            self.integrator = SlepianIntegrator(mi, properties)
+            self.integrator = SlepianIntegrator(mi, properties, self)
 
         def traverse(self, callback: Any) -> None:
             self.integrator.traverse(callback)
@@ -83,7 +84,7 @@ def _plugin_class(mi: Any) -> Any:
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             try:
-                return self.integrator.sample(scene, sampler, ray, medium, active)
+                return self.integrator.sample(scene, sampler, ray, active)
             except UserError as error:
                 log_warning(mi, str(error))  # `mi.render` raises an error of its own that does not say what is wrong
                 raise
@@ -145,24 +146,27 @@ class SlepianIntegrator:
         </integrator>
     """
 
-    def __init__(self, mi: Any, properties: Any) -> None:
-        self._mi = mi
-        albedo = str(properties.get("albedo", "auto"))
-        if albedo not in ("auto", "file", "scene"):
-            raise UserError(f"albedo of integrator {NAME} must be 'auto', 'file' or 'scene', not {albedo!r}")
-        properties.get("fixed_lights", 1.0)
-        properties.get("max_depth", -1)
-        self._albedo_of_scene = albedo == "scene"
+    def __init__(self, mi: Any, properties: Any, plugin: Any) -> None:
+        self._mi, self._plugin = mi, plugin
+        self._hide_emitters = bool(properties.get("hide_emitters", False))
+        self._fixed_lights = _not_negative(properties, "fixed_lights", 1.0)
+        self._max_depth = _depth(properties, "max_depth", -1, least=-1)
+        self._rr_depth = _depth(properties, "rr_depth", 5, least=1)
+        self._albedo = str(properties.get("albedo", "auto"))
+        if self._albedo not in ("auto", "file", "scene"):
+            raise UserError(f"albedo of integrator {NAME} must be 'auto', 'file' or 'scene', not {self._albedo!r}")
         damping = _damping(str(properties.get("window", "")), properties.get("window_width", 0.0))
         self._transfers = {
-            name: BoundTransfer(mi, held_file(path), damping, use_albedo=not self._albedo_of_scene)
+            name: BoundTransfer(mi, held_file(path), damping, fixed_lights=self._fixed_lights)
             for name, path in _transfer_paths(mi, properties).items()
         }
         for transfer in self._transfers.values():
-            if self._albedo_of_scene and transfer.packed.toward_view:
+            if self._albedo == "scene" and transfer.packed.toward_view:
                 raise UserError(f"{transfer.name}: transfer toward a camera has its materials in it; leave out albedo")
-        self._direct = _direct_integrator(mi, properties)
+        self._cache = RadianceCache(mi, list(self._transfers.values()))
         self._spectra = smooth_spectra(mi).tolist() if mi.is_spectral else None
+        self._lobes: Any = None
+        self._gatherer: Any = None  # None where nothing calls for it
         self._warnings: set[str] = set()  # that were made
 
     def __str__(self) -> str:
@@ -179,76 +183,104 @@ class SlepianIntegrator:
         for transfer in self._transfers.values():
             transfer.check_albedo()
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any) -> tuple[Any, Any, list]:
+    def sample(self, scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, Any, list]:
         """Radiance along camera rays: spectrum, whether it is valid, and no AOVs.
 
-        L = ρ Σ_i w_i Σ_lm e_lm t_lm(x_i), over the three vertices x_i of the triangle that is met.
+        L = L_e + a Σ_i w_i Σ_lm e_lm t_lm(x_i), over the three vertices x_i of the triangle that is met, which is
+        differentiated, and what is gathered beyond that, which is not.
         """
         import drjit as dr
 
         mi = self._mi
         self._bind(scene)
         active = mi.Bool(active)
-        hit, minimal = self._first_hit(scene, ray, active)  # What camera rays meet, detached
-        shaded = mi.Bool(False)  # Whether that is the front of a shape of a file
-        srgb = mi.Color3f(0.0)  # Its radiance, linear sRGB
+        hit, si = self._first_hit(scene, ray, active)  # What camera rays meet, detached
+        L = mi.UnpolarizedSpectrum(0.0)
+        covered = active & si.is_valid()
+        if not self._hide_emitters:
+            L += mi.unpolarized_spectrum(si.emitter(scene).eval(si, active))
+            covered = active & (scene.environment() is not None or si.is_valid())
 
-        # --------------------- Shapes of files ---------------------
+        cached = self._cache.at(ray, hit, si, covered & si.is_valid())
+        L += self._lobes.at(si, cached, covered & si.is_valid()).held_radiance(sampler)
 
-        for transfer in self._transfers.values():
-            here, radiance = transfer.radiance(ray, hit, minimal, active & ~shaded)
-            srgb = dr.select(here, radiance, srgb)
-            shaded |= here
-        L = srgb_to_spectrum(mi, srgb, ray.wavelengths, self._spectra)
-
-        # --------- Their materials and light in the scene ----------
-
-        si = hit.compute_surface_interaction(ray, mi.RayFlags.All, shaded)
-        if self._albedo_of_scene:
-            L *= mi.unpolarized_spectrum(si.bsdf(ray).eval_diffuse_reflectance(si, shaded))
-        if not self._direct.hide_emitters:
-            L += mi.unpolarized_spectrum(si.emitter(scene, shaded).eval(si, shaded))
-
-        # --------------------- Everything else ---------------------
-
-        others, valid, _ = self._direct.sample(scene, sampler, ray, medium, active & ~shaded)
-        return dr.select(shaded, without_polarization(mi, L), others), valid | shaded, []
+        if self._gatherer is not None:
+            with dr.suspend_grad():
+                gathered, through = self._gatherer.gather(
+                    sampler, ray, hit, hide_emitters=self._hide_emitters, active=active
+                )
+            L, covered = L + gathered, covered & through
+        return without_polarization(mi, L), covered, []
 
     def _first_hit(self, scene: Any, ray: Any, active: Any) -> tuple[Any, Any]:
-        """What rays meet, as PreliminaryIntersection3f and as minimal SurfaceInteraction3f; not differentiated.
+        """What rays meet, as PreliminaryIntersection3f and as SurfaceInteraction3f; not differentiated.
 
-        With ``hide_emitters``, that is what lies behind the shapes that emit light, as ``direct`` has it.
+        With ``hide_emitters``, that is what lies behind the shapes that emit light, as ``path`` has it.
         """
         import drjit as dr
 
         mi = self._mi
         with dr.suspend_grad():
             hit = scene.ray_intersect_preliminary(mi.Ray3f(ray), coherent=True, active=active)
-            if self._direct.hide_emitters:
+            if self._hide_emitters:
                 hidden = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None)) & active
                 si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-                behind = self._direct.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden)
+                behind = self._plugin.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden)
                 hit = dr.select(hidden, behind, hit)
-            return hit, hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.Minimal, active & hit.is_valid())
+            return hit, hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.All, active)
 
     def _bind(self, scene: Any) -> None:
-        """Match the files to a scene, and log what of it will not be seen on their shapes, each thing once."""
+        """Match the files to a scene, and log what of it will not be seen, each thing once."""
+        mi = self._mi
         bound = [transfer for transfer in self._transfers.values() if transfer.bind(scene)]
-        if not bound:
+        for transfer in self._transfers.values():
+            transfer.light(scene)
+        if not bound and self._lobes is not None:
             return
-        warnings = [text for transfer in bound for text in transfer.material_warnings()]
-        names = ", ".join(transfer.name for transfer in bound)
-        lamps = [emitter.id() or emitter.class_name() for emitter in scene.emitters() if not emitter.is_environment()]
-        if lamps:
-            warnings.append(
-                f"light of {', '.join(lamps)} does not reach shapes of {names}: they know distant light only"
-            )
-        if scene.environment() is None:
-            warnings.append(f"without distant light the shapes of {names} are black")
-        for text in warnings:
+        materials = [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.BSDF)]
+        self._lobes = Lobes(mi, materials, self._albedo, self._spectra)
+        lamps = Lamps(mi, scene)
+        self._gatherer = None
+        if self._calls_for_gathering(scene, lamps):
+            self._gatherer = Gatherer(
+                mi, scene, self._cache, self._lobes, lamps, fixed_lights=self._fixed_lights,
+                max_depth=self._max_depth, rr_depth=self._rr_depth,
+            )  # fmt: skip
+        for text in [text for transfer in bound for text in transfer.warnings(scene)]:
             if text not in self._warnings:  # shapes that move are matched again for every picture
                 self._warnings.add(text)
-                log_warning(self._mi, text)
+                log_warning(mi, text)
+
+    def _calls_for_gathering(self, scene: Any, lamps: Lamps) -> bool:
+        """Whether there are lamps, or anything but held surfaces, seen from held sides, that reflect only diffusely."""
+        mi = self._mi
+        if lamps.count:
+            return True
+        held = [entry for transfer in self._transfers.values() for entry in transfer.held_shapes()]
+        numbers = {shape.ptr: sides for shape, sides in held}
+        for shape in scene.shapes():
+            sides = numbers.get(shape.ptr, 0)
+            kind = material_kind(mi, shape.bsdf())
+            two = mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.BackSide)
+            if kind not in (PLAIN, LAMBERTIAN) or sides < (2 if two else 1):
+                return True
+        return False
+
+
+def _not_negative(properties: Any, name: str, default: float) -> float:
+    """A factor among the parameters."""
+    value = properties.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < np.inf:
+        raise UserError(f"{name} of integrator {NAME} must be a finite number, not negative, not {value!r}")
+    return float(value)
+
+
+def _depth(properties: Any, name: str, default: int, *, least: int) -> int:
+    """A number of points of a path among the parameters."""
+    value = properties.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise UserError(f"{name} of integrator {NAME} must be a whole number, {least} or more, not {value!r}")
+    return value
 
 
 def _transfer_paths(mi: Any, properties: Any) -> dict[str, str]:
@@ -274,13 +306,3 @@ def _damping(name: str, width: float) -> Callable[[int], NDArray[np.float64]]:
         return lambda bandlimit: np.ones(bandlimit + 1)
     window(name, 0, width)  # says now what is wrong
     return lambda bandlimit: window(name, bandlimit, width)
-
-
-def _direct_integrator(mi: Any, properties: Any) -> Any:
-    """Mitsuba's ``direct``, with those of the parameters that are its own."""
-    own = mi.Properties("direct")
-    for name in _OF_DIRECT:
-        if name in properties:
-            own[name] = properties[name]
-    # Not by `load_dict`, which replaces the resolver of files for all threads that are loading this scene.
-    return mi.PluginManager.instance().create_object(own)
