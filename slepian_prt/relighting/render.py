@@ -67,7 +67,7 @@ def render_picture(
         The scene or mesh file that the transfer was made from, where it is not where it was. Textures, mirrors, glass
         and whatever else the transfer does not hold are drawn from it.
     samples : int, optional
-        Of each pixel, where a scene calls for gathering; by default as many as leave noise of 1 %, 64 at most.
+        Of each pixel, where a scene calls for gathering; by default as many as leave noise of 2 %, 128 at most.
     scene_linear : bool
         Linear radiance times 2^exposure, multiplied by the opacity, as ``.exr`` files hold it, instead of what a
         screen shows.

@@ -26,9 +26,11 @@ from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import Aim
 from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
 
-# Samples of each pixel are taken so many at a time, and no longer once the picture has less than this noise (relative
-# RMS, measured from one such batch to the next), or so many are taken.
-_BATCH, _NOISE, _MOST_SAMPLES = 8, 0.01, 64
+# Samples of each pixel are taken so many at a time, and no longer in tiles of so many pixels that have less than this
+# noise (relative RMS, measured from one such batch to the next), or once so many are taken. Tiles darker than a part of
+# the mean of the picture count as being that bright.
+_BATCH, _NOISE, _MOST_SAMPLES = 8, 0.02, 128
+_TILE, _DARK = 8, 0.1
 
 # Rays that are followed at once.
 _RAYS = 1 << 20
@@ -151,30 +153,38 @@ def _gather(mi: Any, scene: Any, integrator: Any, view: Any, samples: int | None
     """Mean radiance of each pixel over what rays meet, and the part of them that meet anything."""
     columns, rows = (int(n) for n in view.film().size())
     pixels = rows * columns
-    batches = math.ceil((samples or _MOST_SAMPLES) / _BATCH)
-    total, squares, covered = np.zeros((pixels, 3)), np.zeros((pixels, 3)), np.zeros(pixels)
-    taken = 0
-    for batch in range(batches):
-        count = _BATCH if samples is None else min(_BATCH, samples - taken)
-        mean = np.empty((pixels, 4))
+    total, squares = np.zeros((pixels, 4)), np.zeros((pixels, 4))  # Σ batch means, and of their squares
+    batches, weights = np.zeros(pixels), np.zeros(pixels)  # how many, and of how many samples each
+    tile = (np.arange(pixels) // columns // _TILE) * (columns // _TILE + 1) + np.arange(pixels) % columns // _TILE
+    active, taken = np.arange(pixels), 0
+    while len(active) and taken < (samples or _MOST_SAMPLES):
+        count = min(_BATCH, (samples or _MOST_SAMPLES) - taken)
         each = max(_RAYS // count, 1)
-        for first in range(0, pixels, each):
-            chosen = np.arange(first, min(first + each, pixels))
-            mean[chosen] = _trace(mi, scene, integrator, view, chosen, range(taken, taken + count))
-        total += count * mean[:, :3]
-        squares += count * mean[:, :3] ** 2
-        covered += count * mean[:, 3]
+        for first in range(0, len(active), each):
+            chosen = active[first : first + each]
+            mean = _trace(mi, scene, integrator, view, chosen, range(taken, taken + count))
+            total[chosen] += count * mean
+            squares[chosen] += count * mean**2
+        weights[active] += count
+        batches[active] += 1
         taken += count
-        if samples is None and batch > 0 and _noise(total / taken, squares / taken, batch + 1) <= _NOISE:
-            break
-    radiance = (total / taken).reshape(rows, columns, 3).astype(np.float32)
-    return Picture(radiance, (covered / taken).reshape(rows, columns).astype(np.float32))
+        if samples is None and taken > _BATCH:
+            noisy = _tile_noise(total[:, :3], squares[:, :3], weights, batches, tile) > _NOISE
+            active = active[noisy[tile[active]]]
+    mean = (total / weights[:, None]).reshape(rows, columns, 4)
+    return Picture(mean[..., :3].astype(np.float32), mean[..., 3].astype(np.float32))
 
 
-def _noise(mean: NDArray, mean_square: NDArray, batches: int) -> float:
-    """Relative RMS error of the mean of equal batches, from their variance."""
-    variance = np.maximum(mean_square - mean**2, 0.0) / (batches - 1)
-    return math.sqrt(float(variance.sum()) / max(float((mean**2).sum()), 1e-300))
+def _tile_noise(
+    total: NDArray, squares: NDArray, weights: NDArray, batches: NDArray, tile: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Relative RMS error of each tile of pixels, from the variance of the means of equal batches."""
+    mean = total / weights[:, None]
+    variance = np.maximum(squares / weights[:, None] - mean**2, 0.0) / (batches[:, None] - 1.0)
+    error, power = (np.bincount(tile, values.sum(axis=1)) for values in (variance, mean**2))
+    size = np.bincount(tile)
+    floor = (_DARK * float(mean.mean())) ** 2 * 3.0 * size
+    return np.asarray(np.sqrt(error / np.maximum(np.maximum(power, floor), 1e-300)))
 
 
 def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, numbers: range) -> NDArray[np.float64]:
