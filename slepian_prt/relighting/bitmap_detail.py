@@ -25,6 +25,9 @@ _INSIDE, _REACH = 0.125, 0.3
 _WRAPS: tuple[Wrap, ...] = ("repeat", "mirror", "clamp")
 _PROBES = 64
 
+# Texels that are evaluated at once.
+_TEXELS = 1 << 22
+
 
 def bitmap_detail(
     mi: Any,
@@ -94,21 +97,28 @@ def _bitmap_of(mi: Any, bsdf: Any, name: str) -> Texture | None:
         return None
     from PIL import Image
 
-    texels = np.array(parameters[f"{slot}.data"], dtype=np.float64)
-    texels = np.repeat(texels, 3, axis=2) if texels.shape[2] == 1 else texels[..., :3]
+    height, width = parameters[f"{slot}.data"].shape[:2]
+    inverse = np.linalg.inv(_matrix(parameters[f"{slot}.to_uv"]))
+    # Texels are stored in many ways: what the BSDF reflects at their middles is linear in each.
+    columns, encoded = (np.arange(width) + 0.5) / width, np.empty((height, width, 3), dtype=np.uint8)
+    each = max(_TEXELS // width, 1)
+    for first in range(0, height, each):
+        rows = (np.arange(first, min(first + each, height)) + 0.5) / height
+        uv = np.stack(np.broadcast_arrays(columns, rows[:, None]), axis=-1).reshape(-1, 2)
+        linear = np.clip(_reflectance(mi, bsdf, _affine(inverse, uv)), 0.0, 1.0)
+        encoded[first : first + each] = (encode_srgb(linear) * 255.0 + 0.5).reshape(len(rows), width, 3)
     stream = io.BytesIO()
-    Image.fromarray((encode_srgb(np.clip(texels, 0.0, 1.0)) * 255.0 + 0.5).astype(np.uint8)).save(stream, "PNG")
-    wrap = _wrap_of(mi, bsdf, parameters[f"{slot}.to_uv"])
+    Image.fromarray(encoded).save(stream, "PNG")
+    wrap = _wrap_of(mi, bsdf, inverse)
     return Texture(f"of shape '{name}'", stream.getvalue(), (wrap, wrap))
 
 
-def _wrap_of(mi: Any, bsdf: Any, to_uv: Any) -> Wrap:
+def _wrap_of(mi: Any, bsdf: Any, inverse: NDArray) -> Wrap:
     """How a bitmap continues, which Mitsuba does not tell: as what it looks like beyond its border."""
     rng = np.random.default_rng(0)
     beyond = rng.random((_PROBES, 2)) + rng.integers(-2, 3, (_PROBES, 2))
     folded = np.abs((beyond + 1.0) % 2.0 - 1.0)
     candidates = (beyond % 1.0, folded, np.clip(beyond, 0.0, 1.0))
-    inverse = np.linalg.inv(np.array(to_uv.matrix, dtype=np.float64).reshape(3, 3))
     seen, *expected = (_reflectance(mi, bsdf, _affine(inverse, uv)) for uv in (beyond, *candidates))
     return _WRAPS[int(np.argmin([np.median(np.abs(one - seen).max(axis=1)) for one in expected]))]
 
@@ -122,13 +132,17 @@ def _reflectance(mi: Any, bsdf: Any, uv: NDArray) -> NDArray[np.float32]:
     return np.array(bsdf.eval_diffuse_reflectance(si), dtype=np.float32).reshape(3, -1).T
 
 
+def _matrix(to_uv: Any) -> NDArray[np.float64]:
+    return np.array(to_uv.matrix, dtype=np.float64).reshape(3, 3)
+
+
 def _affine(matrix: NDArray, uv: NDArray) -> NDArray[np.float64]:
     return np.asarray(uv @ matrix[:2, :2].T + matrix[:2, 2])
 
 
 def _transformed(mi: Any, bsdf: Any, uv: NDArray) -> NDArray[np.float64]:
     to_uv = mi.traverse(bsdf)[f"{_REFLECTANCE[bsdf.class_name()]}.to_uv"]
-    return _affine(np.array(to_uv.matrix, dtype=np.float64).reshape(3, 3), uv)
+    return _affine(_matrix(to_uv), uv)
 
 
 def _coordinates(
@@ -154,7 +168,9 @@ def _coordinates(
     start = inside.reshape(-1, 3) - np.repeat(reach, 3)[:, None] * down
     ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(down.T.astype(np.float32)))
     ray.maxt = mi.Float(2.0 * np.repeat(reach, 3).astype(np.float32))
+    name = shape.id()
     hit = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
+    shape.set_id(name)  # it has got the key as its id
     uv = np.array(hit.uv, dtype=np.float64).T.reshape(-1, 3, 2)
     # A closed shape goes on from 1 at 0.
     if not shape.is_mesh():

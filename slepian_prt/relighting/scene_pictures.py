@@ -125,7 +125,9 @@ def environment_of(lighting: NDArray[np.float64]) -> Environment:
 
 def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     """The shapes and lamps of a scene under another distant light."""
-    entries: dict[str, Any] = {f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
+    shapes = loaded.shapes()
+    names = [shape.id() for shape in shapes]
+    entries: dict[str, Any] = {f"shape_{index}": shape for index, shape in enumerate(shapes)}
     on_shapes = mi.EmitterFlags.Surface
     for index, emitter in enumerate(loaded.emitters()):
         if not emitter.is_environment() and not mi.has_flag(emitter.flags(), on_shapes):
@@ -135,7 +137,10 @@ def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
         environment = environment_of(light.lighting)
     if environment is not None:
         entries["environment"] = environment_emitter(mi, environment)
-    return mi.load_dict({"type": "scene", **entries})
+    scene = mi.load_dict({"type": "scene", **entries})
+    for shape, name in zip(shapes, names, strict=True):
+        shape.set_id(name)  # it has got the key as its id, and parts of the file are found by theirs
+    return scene
 
 
 @contextmanager

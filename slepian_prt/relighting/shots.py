@@ -70,7 +70,8 @@ class SceneDrawing:
         shape = (len(self.lights), *self.directions.shape[:2], 4)
         if len(self.lights) == 1:
             return np.empty(shape, dtype=np.float32)
-        return np.memmap(tempfile.TemporaryFile(), dtype=np.float32, mode="w+", shape=shape)
+        with tempfile.TemporaryFile() as file:  # the map of it outlives it
+            return np.memmap(file, dtype=np.float32, mode="w+", shape=shape)
 
     def picture(self, number: int) -> Picture:
         """Gathered, or as it was when it was asked for before."""
