@@ -6,7 +6,7 @@ from typing import Any
 
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
 from slepian_prt.relighting.mitsuba.lamps import Lamps
-from slepian_prt.relighting.mitsuba.lobes import Lobes
+from slepian_prt.relighting.mitsuba.lobes import Lobes, Material
 
 # Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
 _ENDLESS = 0xFFFFFFFF
@@ -48,6 +48,10 @@ class Gatherer:
         self._mi, self._scene, self._cache, self._lobes, self._lamps = mi, scene, cache, lobes, lamps
         self._fixed_lights = fixed_lights
         self._max_depth, self._rr_depth = max_depth if max_depth >= 0 else _ENDLESS, rr_depth
+
+    def adds_to(self, material: Material) -> Any:
+        """Bool, whether anything can be gathered from points of these materials."""
+        return material.scatters | (material.held & (self._lamps.count > 0))
 
     def gather(self, sampler: Any, ray: Any, hit: Any, *, hide_emitters: bool, active: Any) -> tuple[Any, Any]:
         """What paths bring beyond emission and held light of the first point: UnpolarizedSpectrum, and coverage.

@@ -201,15 +201,18 @@ class SlepianIntegrator:
             L += mi.unpolarized_spectrum(si.emitter(scene).eval(si, active))
             covered = active & (scene.environment() is not None or si.is_valid())
 
-        cached = self._cache.at(ray, hit, si, covered & si.is_valid())
-        L += self._lobes.at(si, cached, covered & si.is_valid()).held_radiance(sampler)
+        met = active & si.is_valid()
+        cached = self._cache.at(ray, hit, si, met)
+        material = self._lobes.at(si, cached, met)
+        L += material.held_radiance(sampler)
 
         if self._gatherer is not None:
             with dr.suspend_grad():
+                more = self._gatherer.adds_to(material) & met
                 gathered, through = self._gatherer.gather(
-                    sampler, ray, hit, hide_emitters=self._hide_emitters, active=active
+                    sampler, ray, hit, hide_emitters=self._hide_emitters, active=more
                 )
-            L, covered = L + gathered, covered & through
+            L, covered = dr.select(more, L + gathered, L), dr.select(more, through, covered)
         return without_polarization(mi, L), covered, []
 
     def _first_hit(self, scene: Any, ray: Any, active: Any) -> tuple[Any, Any]:

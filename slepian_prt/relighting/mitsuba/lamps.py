@@ -73,5 +73,5 @@ def _joined(mi: Any, emitters: list[Any]) -> Any:
     """Pointers as one array, with a null at the end."""
     import drjit as dr
 
-    numbers = [int(dr.reinterpret_array(mi.UInt32, emitter)[0]) for emitter in emitters]
+    numbers = [int(mi.UInt32(dr.reinterpret_array(mi.UInt32, emitter))[0]) for emitter in emitters]
     return dr.reinterpret_array(mi.EmitterPtr, mi.UInt32([*numbers, 0]))

@@ -68,7 +68,10 @@ class Lobes:
 
     def __init__(self, mi: Any, materials: Iterable[Any], albedo: str, spectra: list[list[float]] | None) -> None:
         self._mi, self._albedo, self._spectra = mi, albedo, spectra
-        self._kinds_of = _kind_table(mi, materials)
+        materials = list(materials)
+        self._kinds_of = _table(mi, materials, [material_kind(mi, one) for one in materials])
+        both = [int(mi.has_flag(one.flags(), mi.BSDFFlags.BackSide)) for one in materials]
+        self._sides_of = _table(mi, materials, both)
         self.kinds = set(np.unique(np.array(self._kinds_of)).tolist())
         self._all, self._diffuse, self._others = mi.BSDFContext(), mi.BSDFContext(), mi.BSDFContext()
         diffuse = int(mi.BSDFFlags.DiffuseReflection)
@@ -76,12 +79,19 @@ class Lobes:
 
     def kind(self, bsdf: Any, active: Any) -> Any:
         """UInt32, one of the kinds above."""
+        return self._look_up(self._kinds_of, bsdf, active, WHOLE)
+
+    def has_back(self, bsdf: Any, active: Any) -> Any:
+        """Bool, whether the material reflects on both sides."""
+        return self._look_up(self._sides_of, bsdf, active, 1) == 1
+
+    def _look_up(self, table: Any, bsdf: Any, active: Any, unknown: int) -> Any:
         import drjit as dr
 
         mi = self._mi
         number: Any = dr.reinterpret_array(mi.UInt32, bsdf)
-        known = active & (number < dr.width(self._kinds_of))
-        return dr.select(known, dr.gather(mi.UInt32, self._kinds_of, number, known), WHOLE)
+        known = active & (number < dr.width(table))
+        return dr.select(known, dr.gather(mi.UInt32, table, number, known), unknown)
 
     def at(self, si: Any, cached: Cached, active: Any) -> Material:
         """The material where rays meet the scene.
@@ -119,8 +129,12 @@ class Material:
         self._whole = separable & (kind == WHOLE)
         self._open = active & ~self.held
         self._of_file = self.held & (cached.toward_view | (lobes._albedo == "file"))
+        # With vertex normals the side that is seen may count as the back: Mitsuba's materials are black there.
+        self._turned_away = mi.Bool(False)
         if lobes._albedo == "auto":
-            self._of_file |= separable & (kind == PLAIN)
+            plain = separable & (kind == PLAIN)
+            self._of_file |= plain
+            self._turned_away = plain & (si.wi.z <= 0.0) & ~lobes.has_back(self._bsdf, plain)
         self.scatters = self._split | self._whole | self._open
         self._lambertian = self._albedo_of_whole() if WHOLE in lobes.kinds else mi.UnpolarizedSpectrum(0.0)
 
@@ -151,7 +165,7 @@ class Material:
             reflected = mi.unpolarized_spectrum(self._bsdf.eval(lobes._diffuse, si, wo, separate))
             albedo = reflected * (dr.pi / dr.maximum(dr.abs(wo.z), 1e-6))
             radiance *= dr.select(self._of_file, 1.0, dr.select(self._whole, self._lambertian, albedo))
-        return dr.select(self.held, radiance, 0.0)
+        return dr.select(self.held & ~self._turned_away, radiance, 0.0)
 
     def evaluate(self, wo: Any, active: Any) -> tuple[Any, Any, Any]:
         """Value times cosine of the held lobe and of the others, and the density with which `sample` draws them.
@@ -174,6 +188,7 @@ class Material:
         held += mi.unpolarized_spectrum(bsdf.eval(lobes._diffuse, si, wo, separate))
         albedo = srgb_to_spectrum(mi, self._cached.albedo, si.wavelengths, lobes._spectra)
         held = dr.select(self._of_file & ~self._toward_view, albedo * cosine, held)
+        held = dr.select(self._turned_away, 0.0, held)
         if WHOLE in lobes.kinds:
             taken = self._lambertian * cosine
             held = dr.select(self._whole & ~self._of_file, taken, held)
@@ -217,11 +232,11 @@ class Material:
         return self._mi.Vector3f(wo.x, wo.y, dr.mulsign(wo.z, self._si.wi.z))
 
 
-def _kind_table(mi: Any, materials: Iterable[Any]) -> Any:
-    """UInt32 kinds of materials by their numbers in Mitsuba's registry."""
+def _table(mi: Any, materials: list[Any], values: list[int]) -> Any:
+    """UInt32 values by the numbers of materials in Mitsuba's registry."""
     import drjit as dr
 
-    kinds = {int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(one))[0]): material_kind(mi, one) for one in materials}
-    table = np.full(max(kinds, default=0) + 1, NOT_DIFFUSE, dtype=np.uint32)
-    table[list(kinds)] = list(kinds.values())
+    numbers = [int(mi.UInt32(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(one)))[0]) for one in materials]
+    table = np.zeros(max(numbers, default=0) + 1, dtype=np.uint32)
+    table[numbers] = values
     return mi.UInt32(table)

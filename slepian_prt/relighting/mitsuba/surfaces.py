@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, part_faces
+from slepian_prt.relighting.mitsuba.reach import PlacedPart, part_faces
+from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes
 from slepian_prt.scene.mesh import Mesh
 
 # Cosine between the normals of what a ray meets and of the file's surface close by, if that is the same surface.
 _SAME_SURFACE = 0.7
+
+# Surfaces of a file that are looked at, one behind the other, before a point is given up.
+_LAYERS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +27,7 @@ class SurfaceHit:
     Attributes
     ----------
     valid : Bool
-        Whether it is the front of such a surface.
+        Whether it is a side of such a surface that the file holds.
     vertices : three UInt32
         Of the triangle there.
     weights : three Float
@@ -46,18 +51,23 @@ class Surfaces:
     """
 
     def __init__(self, mi: Any, matched: MatchedShapes, mesh: Mesh) -> None:
-        self._mi, self._reach = mi, matched.reach
+        self._mi = mi
         # Faces are those of matched meshes as Mitsuba numbers them, one mesh after the other, then those by place.
         faces = [mesh_faces(mi, shape) + part.first for shape, part in matched.meshes]
+        parts = [part for _, part in matched.meshes]
         ends = np.cumsum([0, *(len(some) for some in faces)])
         self._first_face = _by_shape(mi, [shape for shape, _ in matched.meshes], ends[:-1])
-        self._first_by_place = int(ends[-1])
-        self._by_place: Any = None
+        self._placed: PlacedSurfaces | None = None
         if matched.by_place:
-            faces.append(part_faces(mesh, matched.by_place).astype(np.int64))
-            self._by_place = _triangle_scene(mi, matched.positions, faces[-1])
+            self._placed = PlacedSurfaces(mi, matched.by_place, matched.positions, mesh, int(ends[-1]))
+            faces += [part_faces(mesh.faces, one.part).astype(np.int64) for one in matched.by_place]
+            parts += [one.part for one in matched.by_place]
         corners = np.concatenate(faces).astype(np.uint32)
         self._corners = tuple(mi.UInt32(np.ascontiguousarray(corners[:, i])) for i in range(3))
+        # How many vertices later those of the back are; 0 where the back is not held.
+        backs = [part.count if part.sides == 2 else 0 for part in parts]
+        self._any_back = any(backs)
+        self._to_back = mi.UInt32(np.repeat(backs, [len(some) for some in faces]).astype(np.uint32))
 
     def intersect(self, ray: Any, hit: Any, si: Any, active: Any) -> SurfaceHit:
         """What rays meet of the surfaces.
@@ -75,34 +85,103 @@ class Surfaces:
 
         mi = self._mi
         active = active & hit.is_valid()
-        number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
-        known = active & (number < dr.width(self._first_face))
-        first = dr.select(known, dr.gather(mi.Int32, self._first_face, number, known), -1)
-        valid = active & (first >= 0) & (dr.dot(si.n, ray.d) < 0.0)
+        first = _of_shape(mi, self._first_face, hit.shape, active)
+        valid = active & (first >= 0)
+        back = dr.dot(si.n, ray.d) > 0.0
         face = mi.UInt32(first) + hit.prim_index
         u, v = mi.Float(hit.prim_uv.x), mi.Float(hit.prim_uv.y)
-        if self._by_place is not None:
-            near, here = self._intersect_by_place(ray, si, active & (first < 0))
-            face = dr.select(here, mi.UInt32(self._first_by_place) + near.prim_index, face)
-            u, v = dr.select(here, near.prim_uv.x, u), dr.select(here, near.prim_uv.y, v)
-            valid |= here
-        vertices = tuple(dr.gather(mi.UInt32, corner, face, valid) for corner in self._corners)
-        return SurfaceHit(valid, vertices, (1.0 - u - v, u, v))
+        if self._placed is not None:
+            near = self._placed.find(ray, hit, si, active & ~valid)
+            face, back = dr.select(near.valid, near.face, face), dr.select(near.valid, near.back, back)
+            u, v = dr.select(near.valid, near.u, u), dr.select(near.valid, near.v, v)
+            valid |= near.valid
+        vertices = [dr.gather(mi.UInt32, corner, face, valid) for corner in self._corners]
+        if self._any_back:
+            later = dr.gather(mi.UInt32, self._to_back, face, valid)
+            valid &= ~back | (later > 0)
+            vertices = [vertex + dr.select(back, later, 0) for vertex in vertices]
+        else:
+            valid &= ~back
+        return SurfaceHit(valid, (vertices[0], vertices[1], vertices[2]), (1.0 - u - v, u, v))
 
-    def _intersect_by_place(self, ray: Any, si: Any, active: Any) -> tuple[Any, Any]:
-        """The file's surface close to what rays meet (PreliminaryIntersection3f), and whether its front is there."""
+
+@dataclass(frozen=True, eq=False)
+class NearFace:
+    """The face of a file close to what rays meet: whether there is one, its number, its back, and where on it."""
+
+    valid: Any
+    face: Any
+    back: Any
+    u: Any
+    v: Any
+
+
+class PlacedSurfaces:
+    """Parts of a file that are found by where they are.
+
+    Parameters
+    ----------
+    mi : Mitsuba, in the variant of the scene
+    placed : sequence of PlacedPart
+    positions : (V, 3)
+        Vertices of the file in the scene.
+    mesh : Mesh
+        Of the file.
+    first : int
+        Number of the first of their faces.
+    """
+
+    def __init__(
+        self, mi: Any, placed: Sequence[PlacedPart], positions: NDArray[np.float64], mesh: Mesh, first: int
+    ) -> None:
+        self._mi, self._first = mi, first
+        faces = [part_faces(mesh.faces, one.part) for one in placed]
+        self._scene = _triangle_scene(mi, positions, np.concatenate(faces))
+        # Parts by face, and reaches by part; a shape that is known has no other part.
+        self._part_of = mi.Int32(np.repeat(np.arange(len(placed)), [len(some) for some in faces]).astype(np.int32))
+        self._reach = mi.Float(np.array([one.reach for one in placed], dtype=np.float32))
+        known = [(one.shape, i) for i, one in enumerate(placed) if one.shape is not None]
+        self._own_part = _by_shape(mi, [shape for shape, _ in known], np.array([i for _, i in known], dtype=np.int32))
+        self._is_free = mi.Bool([one.shape is None for one in placed])
+        self._free_reach = max((one.reach for one in placed if one.shape is None), default=0.0)
+
+    def find(self, ray: Any, hit: Any, si: Any, active: Any) -> NearFace:
+        """The nearest face along the normal to either side that may be what rays meet; arguments as of `Surfaces`."""
         import drjit as dr
 
         mi = self._mi
-        # From a little above what was met, back along the normal on the side that is seen.
-        normal = dr.mulsign(si.n, -dr.dot(si.n, ray.d))
-        probe = mi.Ray3f(si.p + self._reach * normal, -normal)
-        probe.maxt = 2.0 * self._reach
-        near = self._by_place.ray_intersect_preliminary(probe, active=active)
-        there = near.compute_surface_interaction(probe, mi.RayFlags.Minimal, active & near.is_valid())
-        # The front of the same surface, and not that of another one close by.
-        same = (dr.dot(there.n, normal) > _SAME_SURFACE) & (dr.dot(there.n, ray.d) < 0.0)
-        return near, active & near.is_valid() & same
+        own = _of_shape(mi, self._own_part, hit.shape, active)
+        reach = dr.select(own >= 0, dr.gather(mi.Float, self._reach, mi.UInt32(own), active & (own >= 0)), 0.0)
+        reach = dr.select(own >= 0, reach, self._free_reach)
+        normal = dr.mulsign(si.n, -dr.dot(si.n, ray.d))  # on the side that is seen
+        place = si.p
+
+        def look(on: Any, depth: Any, layers: Any, nearest: Any, face: Any, back: Any, u: Any, v: Any) -> Any:
+            probe = mi.Ray3f(place + (reach - depth) * normal, -normal)
+            probe.maxt = 2.0 * reach - depth
+            met = self._scene.ray_intersect_preliminary(probe, active=on)
+            on = on & met.is_valid()
+            there = met.compute_surface_interaction(probe, mi.RayFlags.Minimal, on)
+            depth = depth + met.t
+            part = dr.gather(mi.Int32, self._part_of, met.prim_index, on)
+            right = dr.select(own >= 0, part == own, dr.gather(mi.Bool, self._is_free, mi.UInt32(part), on))
+            cosine, distance = dr.dot(there.n, normal), dr.abs(depth - reach)
+            right &= on & (dr.abs(cosine) > _SAME_SURFACE) & (distance < nearest)
+            right &= distance <= dr.gather(mi.Float, self._reach, mi.UInt32(part), on)
+            nearest, face = dr.select(right, distance, nearest), dr.select(right, met.prim_index, face)
+            back = dr.select(right, cosine < 0.0, back)
+            u, v = dr.select(right, met.prim_uv.x, u), dr.select(right, met.prim_uv.y, v)
+            depth += 1e-2 * reach
+            # What lies farther below than this one above is farther.
+            on &= (layers < _LAYERS) & (depth < 2.0 * reach) & (depth - reach < nearest)
+            return on, depth, layers + 1, nearest, face, back, u, v
+
+        start = (
+            active & (reach > 0.0), mi.Float(0.0), mi.UInt32(1), mi.Float(dr.inf), mi.UInt32(0), mi.Bool(False),
+            mi.Float(0.0), mi.Float(0.0),
+        )  # fmt: skip
+        _, _, _, nearest, face, back, u, v = dr.while_loop(start, lambda on, *_: on, look)
+        return NearFace(active & dr.isfinite(nearest), face + self._first, back, u, v)
 
 
 def mesh_faces(mi: Any, shape: Any) -> NDArray[np.int64]:
@@ -122,6 +201,15 @@ def _by_shape(mi: Any, shapes: list[Any], values: NDArray) -> Any:
     return mi.Int32(table)
 
 
+def _of_shape(mi: Any, table: Any, shape: Any, active: Any) -> Any:
+    """What such a table says of shapes that rays met."""
+    import drjit as dr
+
+    number: Any = dr.reinterpret_array(mi.UInt32, shape)
+    known = active & (number < dr.width(table))
+    return dr.select(known, dr.gather(mi.Int32, table, number, known), -1)
+
+
 def _triangle_scene(mi: Any, positions: NDArray, faces: NDArray) -> Any:
     """A Mitsuba scene of nothing but triangles."""
     mesh = mi.Mesh("transfer", len(positions), len(faces))
@@ -129,4 +217,6 @@ def _triangle_scene(mi: Any, positions: NDArray, faces: NDArray) -> Any:
     parameters["vertex_positions"] = mi.Float(positions.astype(np.float32).ravel())
     parameters["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
     parameters.update()
-    return mi.load_dict({"type": "scene", "mesh": mesh})
+    # In Embree's robust mode no ray slips between two triangles.
+    robust = {"embree_use_robust_intersections": True} if mi.variant().startswith("llvm_") else {}
+    return mi.load_dict({"type": "scene", "mesh": mesh, **robust})
