@@ -17,7 +17,7 @@ from slepian_prt.cli.options import (
     rotate_option,
     width_option,
 )
-from slepian_prt.cli.values import Names, read_transfer, settings_of
+from slepian_prt.cli.values import LampScale, Names, read_transfer, settings_of
 
 
 @click.command()
@@ -33,6 +33,15 @@ from slepian_prt.cli.values import Names, read_transfer, settings_of
     help="Degree that the window ends at.  [default: 0.1 % of vertices negative]",
 )
 @clamp_option
+@click.option(
+    "--fixed-lights",
+    multiple=True,
+    type=LampScale(),
+    metavar="[NAME=]SCALE",
+    help="What the light of the scene's lamps, or of that lamp, is multiplied by; may be given several times.  "
+    "[default: 1]",
+)
+@click.option("--turn-directional", is_flag=True, help="Turn directional lamps with the map; their shadows get soft.")
 @width_option("Of a picture", 800)
 @picture_options
 @click.option(
@@ -59,6 +68,8 @@ def relight(
     window: str | None,
     window_width: float | None,
     clamp_negative: bool,
+    fixed_lights: tuple[tuple[str, float], ...],
+    turn_directional: bool,
     width: int | None,
     scene: str | None,
     samples: int | None,
@@ -81,7 +92,8 @@ def relight(
     drawn = wish.draws(output)
     lights = Lights(
         environment, rotate, turntable, window, window_width, clamp_negative, aim.axis,
-        shown=drawn and finish.background == MAP,
+        shown=drawn and finish.background == MAP, fixed_lights=dict(fixed_lights) or 1.0,
+        turn_directional=turn_directional,
     )  # fmt: skip
     check_output(output, [file, *environment, *([scene] if scene else [])], lights.names, wish, several=lights.several)
     packed = read_transfer(file)

@@ -78,6 +78,19 @@ class Point(click.ParamType):
         return coordinates
 
 
+class LampScale(click.ParamType):
+    """A number, of all lamps, or NAME=NUMBER, of one."""
+
+    name = "scale"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, float]:
+        name, is_named, number = value.rpartition("=")
+        try:
+            return (name if is_named else "*"), float(number)
+        except ValueError:
+            raise UserError(f"`fixed_lights` must be a number, or NAME=NUMBER for one lamp, not {value!r}") from None
+
+
 class Several(click.ParamType):
     """Values of one kind with commas between."""
 

@@ -128,7 +128,10 @@ class CompressedTransfer(Summarised):
 
     @cached_property
     def bytes_per_vertex(self) -> float:
-        """Bytes in the file per vertex for coefficients, bases, caps and cluster indices; the mesh is not counted."""
+        """Bytes in the file per vertex for coefficients, bases, caps and cluster indices.
+
+        Not counted are the mesh, and the light of lamps: 2 to 12 bytes for each, less where it is dark or gray.
+        """
         from slepian_prt.compression.prt_file import transfer_size
 
         return transfer_size(self) / len(self.mesh.positions)
@@ -183,5 +186,6 @@ class CompressedTransfer(Summarised):
             "predicted_error": self.predicted_error,
             "light_prior": self.prior or None,
             "verified_error": verified or None,
+            "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }

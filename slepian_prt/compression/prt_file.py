@@ -17,6 +17,7 @@ from slepian_prt.compression.codec.entropy import MODELS
 from slepian_prt.compression.codec.prediction import CONTEXTS, Coded, Tuning
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import decode_all
+from slepian_prt.compression.lamp_packing import pack_lamps, unpack_lamps
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer
@@ -39,7 +40,7 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
     UserError
         The folder is missing or not writable, or the disk is full.
     """
-    manifest = {
+    manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,
         "channels": packed.channels,
         "bounces": packed.bounces,
@@ -72,12 +73,15 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
         "mesh/faces": packed.mesh.faces,
         "mesh/albedo": packed.mesh.albedo,
     }
-    light = {} if packed.lighting is None else {"environment/lighting": packed.lighting}
+    light: dict[str, NDArray] = {} if packed.lighting is None else {"environment/lighting": packed.lighting}
+    if packed.fixed is not None:
+        manifest["fixed"], lamps = pack_lamps(packed.fixed)
+        light |= lamps
     container.write(path, manifest, {**mesh, **light, **_transfer_arrays(packed)})
 
 
 def transfer_size(packed: CompressedTransfer) -> int:
-    """Bytes in the file for everything but the mesh."""
+    """Bytes in the file for the transfer of distant light: for everything but the mesh, its own light and its lamps."""
     return container.encoded_size(_transfer_arrays(packed))
 
 
@@ -198,6 +202,7 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         lighting=arrays.get("environment/lighting"),
         view=None if manifest["view"] is None else View(**manifest["view"]),
         toward_view=bool(manifest["toward_view"]),
+        fixed=unpack_lamps(manifest.get("fixed"), arrays, len(mesh.positions)),
         verified=dict(manifest.get("verified", {})),
         verified_vertices=int(manifest.get("verified_vertices", 0)),
         verified_left_out=dict(manifest.get("verified_left_out", {})),

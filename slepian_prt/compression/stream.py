@@ -28,12 +28,14 @@ from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_base
 from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
 from slepian_prt.compression.projection import Projection, choose_projection, widen
 from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettings
+from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.estimator import Estimator, TransferBlock
-from slepian_prt.transport.interior import find_interior
+from slepian_prt.transport.fixed_lights import direct_fixed_lights
+from slepian_prt.transport.interior import InteriorVertices, find_interior
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import Transfer, compute_transfer
@@ -161,11 +163,14 @@ class Projected:
     blocks : CapBlocks
     rays : int
         Traced for it.
+    fixed : FixedLights or None
+        Light of the lamps, where receivers were traced.
     """
 
     projection: Projection
     blocks: CapBlocks
     rays: int = 0
+    fixed: FixedLights | None = None
 
 
 def project_transfer(transfer: Transfer, learned: LearnedBases) -> Projected:
@@ -212,6 +217,7 @@ def encode_transfer(
         lighting=None if own is None else project_environment(own, transfer.bandlimit),
         view=transfer.view,
         toward_view=transfer.toward_view,
+        fixed=transfer.fixed,
     )
 
 
@@ -277,11 +283,15 @@ def trace_and_project(
     while True:
         with journal(fingerprint(planned, projection)) as store:
             _trace(planned, source, projection, store, advance)
-            blocks = projection.caps(store, _project_interior(planned, source, projection, store))
+            interior = _find_interior(planned, store)
+            blocks = projection.caps(store, _project_interior(source, projection, interior))
             wider = widen(projection, blocks)
             if wider is None:
                 planned.clock.stop("transport")
-                yield Projected(projection, blocks, rays + sum(block.rays for _, block in store))
+                fixed, fixed_rays = direct_fixed_lights(planned, interior)
+                if fixed is not None:
+                    planned.clock.stop("fixed lights")
+                yield Projected(projection, blocks, rays + fixed_rays + sum(block.rays for _, block in store), fixed)
                 return
         projection = wider
         log.info("the pilot foresaw too little error; once more with %d functions of each cap", wider.bases[0].count)
@@ -309,6 +319,7 @@ def encode_planned(
         source=scene.path,
         lighting=None if scene.environment is None else project_environment(scene.environment, bandlimit),
         view=scene.view,
+        fixed=projected.fixed,
     )
 
 
@@ -336,13 +347,15 @@ def _trace(
         advance(block.vertices.size, count)
 
 
-def _project_interior(
-    planned: PlannedScene, source: Estimator[Any], projection: Projection, store: Store
-) -> dict[int, Block]:
-    """Blocks of the receivers inside other geometry, whose transfer is that of their neighbours."""
+def _find_interior(planned: PlannedScene, store: Store) -> InteriorVertices:
+    """Receivers inside other geometry, among those that were found to see nothing of the sky."""
     dark = [block.vertices[block.statistics.blocked >= 1.0] for _, block in store]
     found = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *dark]))
-    interior = find_interior(planned.scene, found[planned.scene.receivers.active[found]])
+    return find_interior(planned.scene, found[planned.scene.receivers.active[found]])
+
+
+def _project_interior(source: Estimator[Any], projection: Projection, interior: InteriorVertices) -> dict[int, Block]:
+    """Blocks of the receivers inside other geometry, whose transfer is that of their neighbours."""
     overrides = {}
     for number, begin in enumerate(range(0, interior.vertices.size, _BLOCK)):
         rows = slice(begin, begin + _BLOCK)

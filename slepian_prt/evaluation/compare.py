@@ -103,7 +103,7 @@ def compare(
         report(str(forecast(planned, seen, environments, methods, terms, grouping, noise, width)))
         planned.clock.stop("forecast")
         report("transport")
-        transfer = compute_transfer(planned, advance)
+        transfer = compute_transfer(planned, advance, lamps=False)
         report("camera")
         camera = trace_camera(seen, width)
         pictures = _Pictures(seen, camera, width, noise, finish)

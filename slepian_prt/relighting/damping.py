@@ -44,7 +44,7 @@ class DampedLighting(NamedTuple):
 def damp(
     transfer: Transfer | CompressedTransfer, lighting: NDArray, window: str, width: float | None = None
 ) -> DampedLighting:
-    """Window lighting for a transfer.
+    """Window lighting for a transfer; radiance is that of distant light alone, which lamps do not change.
 
     Parameters
     ----------
@@ -60,14 +60,14 @@ def damp(
         An unknown window, a width that is not positive, or lighting that `relight` refuses.
     """
     lighting = np.asarray(lighting, dtype=np.float64)
-    plain = relight(transfer, lighting)
+    plain = relight(transfer, lighting, fixed_lights=0.0)
     before = negative_fraction(plain)
     if width is None:
         if before <= _LEFT_NEGATIVE:
             return DampedLighting(lighting, np.inf, 0.0, before, before)
         width = _widest_window(transfer, lighting, window)
     damped = windowed(lighting, window, width)
-    radiance = relight(transfer, damped)
+    radiance = relight(transfer, damped, fixed_lights=0.0)
     scale = float(np.linalg.norm(plain))
     change = float(np.linalg.norm(radiance - plain)) / scale if scale > 0.0 else 0.0
     return DampedLighting(damped, width, change, before, negative_fraction(radiance))
@@ -79,7 +79,8 @@ def _widest_window(transfer: Transfer | CompressedTransfer, lighting: NDArray, w
     while high > 1.01 * low:
         widths = np.geomspace(low, high, _WIDTHS)
         lights = np.stack([windowed(lighting, window, float(width)) for width in widths])
-        positive = [negative_fraction(radiance) <= _LEFT_NEGATIVE for radiance in relight(transfer, lights)]
+        relit = relight(transfer, lights, fixed_lights=0.0)
+        positive = [negative_fraction(radiance) <= _LEFT_NEGATIVE for radiance in relit]
         if positive[-1]:
             return float(high)
         if not any(positive):  # not even degree 0 alone, which only a broken transfer does

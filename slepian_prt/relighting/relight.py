@@ -1,17 +1,21 @@
-"""Radiance of the receivers under distant light."""
+"""Radiance of the receivers under distant light, and that of the lamps of their scene."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.lighting.projection import lighting_at, project_environment
+from slepian_prt.lighting.fixed_lights import lamp_scales
+from slepian_prt.lighting.projection import lighting_at, project_environment, rotation_matrix
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.scene.view import up_rotation
+from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.transfer import Transfer
 
@@ -20,9 +24,14 @@ _NOISE = 0.01
 
 
 def relight(
-    transfer: Transfer | CompressedTransfer, lighting: str | Path | Environment | ArrayLike, *, up: str = "y"
+    transfer: Transfer | CompressedTransfer,
+    lighting: str | Path | Environment | ArrayLike | None,
+    *,
+    up: str = "y",
+    fixed_lights: float | Mapping[str, float] = 1.0,
+    turn_directional: float | ArrayLike | None = None,
 ) -> NDArray[np.float32]:
-    """B(x) = ρ(x) Σ e_lm t_lm(x).
+    """B(x) = ρ(x) (Σ e_lm t_lm(x) + Σ s_k F_k(x)), with F_k the light of a lamp that is not distant and s_k its scale.
 
     The first call of a compressed transfer prepares it; each further one takes about as long as reading its
     coefficients from memory.
@@ -30,11 +39,18 @@ def relight(
     Parameters
     ----------
     transfer : Transfer (full SH) or CompressedTransfer
-    lighting : path of a map, Environment, coefficients (3, (L+1)²), or (B, 3, (L+1)²) for B lights at once
-        Coefficients are those of `project_environment`, at the bandlimit of the transfer.
+    lighting : path of a map, Environment, coefficients (3, (L+1)²), or (B, 3, (L+1)²) for B lights at once, or None
+        Coefficients are those of `project_environment`, at the bandlimit of the transfer. With None the scene's lamps
+        shine alone.
     up : "y" or "z"
         The axis of the model that what is above in the lighting (y) shines from: of a scan that lies on its back where
         y is up, z.
+    fixed_lights : number, or mapping of names to numbers
+        What the light of the scene's lamps is multiplied by: 0 turns them off. Those that a mapping does not name keep
+        1, or what it has for ``*``.
+    turn_directional : float or (3, 3), optional
+        Turn ``directional`` lamps, by degrees about y or a rotation, as the map was: their light then goes through the
+        transfer, with shadows as soft as the bandlimit makes them, instead of standing where it was computed.
 
     Returns
     -------
@@ -43,14 +59,28 @@ def relight(
     Raises
     ------
     UserError
-        Lighting of another shape, or not finite; a map that cannot be used.
+        Lighting of another shape, or not finite; a map that cannot be used; no light at all; a lamp that is not there.
     """
-    lights = stand_lighting(lighting, transfer.bandlimit, up)
+    fixed = transfer.fixed
+    scales = lamp_scales(fixed, fixed_lights)
+    if lighting is None:
+        if fixed is None:
+            raise UserError("the transfer has no lamps; give lighting: a map or its coefficients")
+        lights = np.zeros((3, num_coefficients(transfer.bandlimit)))
+    else:
+        lights = stand_lighting(lighting, transfer.bandlimit, up)
+    if isinstance(turn_directional, bool):
+        raise UserError("`turn_directional` must be what the map was turned by: degrees, or a rotation matrix")
+    if fixed is not None and turn_directional is not None:
+        lights = lights + fixed.turned(scales, rotation_matrix(turn_directional), transfer.bandlimit)
+        scales = np.where(fixed.can_turn, 0.0, scales)
     several = lights.reshape(-1, *lights.shape[-2:])
     if isinstance(transfer, CompressedTransfer):
         radiance = transfer_operator(transfer).apply(several)
     else:
         radiance = _apply_vectors(transfer.vectors, several.astype(np.float32))
+    if fixed is not None and scales.any():
+        radiance += fixed.radiance(scales)
     albedo = transfer.mesh.receivers.albedo
     if not np.all(albedo == 1.0):
         radiance *= albedo

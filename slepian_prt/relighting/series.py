@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment, about_up, check_names, read_environment
+from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.lighting.projection import project_checked
 from slepian_prt.lighting.windowing import window
 from slepian_prt.relighting.damping import damp
 from slepian_prt.relighting.relight import negative_fraction, relight
 from slepian_prt.scene.view import up_rotation
+from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh
 
 LARGEST_TURNTABLE = 3600
@@ -46,6 +48,10 @@ class Lights:
         The axis of the model that what is above in a map shines from. The scene's own light stays as it is.
     shown : bool
         Whether the maps are seen in pictures too.
+    fixed_lights : number, or mapping of names to numbers
+        What the light of the scene's lamps is multiplied by, as of `relight`.
+    turn_directional : bool
+        Whether ``directional`` lamps turn with the map, as lights of the bandlimit.
 
     Raises
     ------
@@ -61,6 +67,8 @@ class Lights:
     clamp_negative: bool = False
     up: str = "y"
     shown: bool = False
+    fixed_lights: float | Mapping[str, float] = 1.0
+    turn_directional: bool = False
 
     def __post_init__(self) -> None:
         about_axis(self.up, self.rotate)
@@ -123,25 +131,28 @@ class Series:
     ----------
     names : for files
     radiance : (B, V, 3) float32
+    lighting : (B, 3, (L+1)²)
+        Distant light that it is the radiance of.
+    fixed_lights : dict of str to float
+        What lamps it has beside that light, by their names, each times a number.
     environments : tuple of Environment
         The lights as they stand, if they are to be seen.
-    lighting : (B, 3, (L+1)²) or None
-        What the radiance is of.
     lights : Lights or None
         What was asked for.
     """
 
     names: tuple[str, ...]
     radiance: NDArray[np.float32]
+    lighting: NDArray[np.float64]
+    fixed_lights: dict[str, float]
     environments: tuple[Environment, ...] = ()
-    lighting: NDArray[np.float64] | None = None
     lights: Lights | None = None
 
 
 def relight_series(
     packed: CompressedTransfer, lights: Lights, file: str, report: Callable[[str], None] = lambda _: None
 ) -> Series:
-    """Radiance under all lights, as one product.
+    """Radiance under all lights, as one product, with that of the scene's lamps in each.
 
     Parameters
     ----------
@@ -155,15 +166,22 @@ def relight_series(
     Raises
     ------
     UserError
-        A map that cannot be used, or no light at all.
+        A map that cannot be used, no light at all, or a lamp that is not there.
     """
-    lighting = _project_lights(packed, lights, file, report)
+    scales = lamp_scales(packed.fixed, lights.fixed_lights)
+    lighting = _project_lights(packed, lights, scales, file, report)
+    if packed.fixed is not None and lights.turn_directional:
+        lighting = lighting + packed.fixed.turned(scales, about_axis(lights.up, lights.rotate), packed.bandlimit)
+        scales = np.where(packed.fixed.can_turn, 0.0, scales)
+    for line in _remarks_on_lamps(packed, lights, file):
+        report(line)
     if lights.window is not None:
         named = lights.names if lights.turntable is None else [Path(path).stem for path in lights.maps] or ["scene"]
         lighting = _damp_lights(packed, named, lighting, lights.window, lights.window_width, report)
     if lights.turntable is not None:
         lighting = np.stack([rotate_sh(lighting[0], turn) for turn in lights.turns])
-    radiance = relight(packed, lighting)
+    fixed = {} if packed.fixed is None else dict(zip(packed.fixed.names, scales.tolist(), strict=True))
+    radiance = relight(packed, lighting, fixed_lights=fixed)
     negative = max(negative_fraction(one) for one in radiance)
     if negative >= _WORTH_SAYING:
         most = "at most " if len(radiance) > 1 else ""
@@ -173,7 +191,21 @@ def relight_series(
             f"{remedy})"
         )
     environments = read_environments(lights) if lights.shown else ()
-    return Series(lights.names, radiance, environments, lighting, lights)
+    return Series(lights.names, radiance, lighting, fixed, environments, lights)
+
+
+def _remarks_on_lamps(packed: CompressedTransfer, lights: Lights, file: str) -> list[str]:
+    """What was asked of lamps and changes nothing, or may not do what is expected."""
+    fixed, remarks = packed.fixed, []
+    if fixed is None and lights.fixed_lights != 1.0:
+        remarks.append(f"{file} holds the light of no lamps; `fixed_lights` changes nothing")
+    if lights.turn_directional and (fixed is None or not fixed.can_turn.any()):
+        remarks.append(f"{file} has no directional lamp; `turn_directional` changes nothing")
+    turning = lights.turntable is not None or lights.rotate % 360.0 != 0.0
+    if turning and fixed is not None and not lights.turn_directional:
+        remedy = "; `turn_directional` turns directional ones" if fixed.can_turn.any() else ""
+        remarks.append(f"the lamps of the scene stand still while distant light turns{remedy}")
+    return remarks
 
 
 def read_environments(lights: Lights) -> tuple[Environment, ...]:
@@ -188,12 +220,19 @@ def read_environments(lights: Lights) -> tuple[Environment, ...]:
 
 
 def _project_lights(
-    packed: CompressedTransfer, lights: Lights, file: str, report: Callable[[str], None]
+    packed: CompressedTransfer,
+    lights: Lights,
+    scales: NDArray[np.float64],
+    file: str,
+    report: Callable[[str], None],
 ) -> NDArray[np.float64]:
-    """Lighting (B, 3, (L+1)²)."""
+    """Distant lighting (B, 3, (L+1)²); zero where the lamps of the scene are all its light."""
     if not lights.maps:
+        if packed.lighting is None and scales.any():
+            return np.zeros((1, 3, num_coefficients(packed.bandlimit)))
         if packed.lighting is None:
-            raise UserError(f"{file}: the scene has no light of its own; name a map with `environment`")
+            off = "its lamps are off, and " if scales.size else ""
+            raise UserError(f"{file}: {off}the scene has no light of its own; name a map with `environment`")
         return rotate_sh(packed.lighting, about_axis(lights.up, lights.rotate))[None]
     projected = []
     for path in lights.maps:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.scene.ids import load_keeping_ids
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.piercing import find_pierced
@@ -187,4 +188,4 @@ def mitsuba_scene(scene: Scene, **others: Any) -> Any:
     if mi.variant().startswith("llvm_"):
         others = {"embree_use_robust_intersections": True, **others}
     shapes = {f"shape_{i}": shape for i, shape in enumerate(scene.shapes)}
-    return mi.load_dict({"type": "scene", **shapes, **others})
+    return load_keeping_ids(mi, {"type": "scene", **shapes, **others})

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.ids import load_keeping_ids
 from slepian_prt.scene.materials import diffuse_reflectance
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from slepian_prt.scene.normals import angle_weighted_normals, face_areas, split_at_creases
@@ -177,7 +178,7 @@ def _is_flipped(mi: Any, shape: Any, positions: NDArray, normals: NDArray | None
     size = float(np.linalg.norm(np.ptp(corner[largest], axis=0)))
     start = corner[largest].mean(axis=0) + size * towards
     ray = mi.Ray3f(mi.Point3f(start.tolist()), mi.Vector3f((-towards).tolist()))
-    hit = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
+    hit = load_keeping_ids(mi, {"type": "scene", "shape": shape}).ray_intersect(ray)
     return float(np.array(hit.n).ravel() @ towards) < 0.0
 
 

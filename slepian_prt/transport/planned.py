@@ -18,6 +18,7 @@ from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.effects import Effect, Plan
 from slepian_prt.transport.estimator import Estimator
 from slepian_prt.transport.glossy import ViewTransfer
+from slepian_prt.transport.lamps import Lamps, find_lamps
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.survey import Survey
 
@@ -61,11 +62,13 @@ def plan_scene(
         clock.stop("load")
         survey = Survey.of(opened, settings.seed)
         view = opened.view if settings.view is not None else None
+        lamps = find_lamps(opened, settings.seed)
         plan = survey.plan(settings.bandlimit, settings.samples, settings.effects, view)
+        plan = lamps.add_rows(plan, settings.samples)
         on_plan(plan.effects)
         _remark_on_closed(opened.path, plan.shadows)
         clock.stop("plan")
-        yield PlannedScene(opened, settings, survey, plan, clock)
+        yield PlannedScene(opened, settings, survey, plan, clock, lamps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,7 @@ class PlannedScene:
     survey : Survey
     plan : Plan
     clock : Clock
+    lamps : Lamps
     """
 
     scene: Scene
@@ -86,11 +90,13 @@ class PlannedScene:
     survey: Survey
     plan: Plan
     clock: Clock
+    lamps: Lamps
 
     def with_settings(self, **changes: Any) -> PlannedScene:
         """The same scene, planned with other settings than ``albedo`` and ``view``, with a clock of its own."""
         settings = replace(self.settings, **changes)
         plan = self.survey.plan(settings.bandlimit, settings.samples, settings.effects, self.plan.view)
+        plan = self.lamps.add_rows(plan, settings.samples)
         return replace(self, settings=settings, plan=plan, clock=Clock(self.clock.seconds))
 
     @property

@@ -18,8 +18,9 @@ from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import SIMULATED, Effect
+from slepian_prt.transport.fixed_lights import bounced_light, direct_fixed_lights
 from slepian_prt.transport.glossy import merge_equal_channels
-from slepian_prt.transport.interior import find_interior
+from slepian_prt.transport.interior import InteriorVertices, find_interior
 from slepian_prt.transport.interreflection import GATHER_SHARE, add_bounces, count_bounces, gather_operator
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
@@ -122,6 +123,7 @@ class Transfer(Summarised):
             "rays_traced": self.rays_traced,
             "seconds": sum(self.seconds.values()),
             "environment": None if self.environment is None else self.environment.name,
+            "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }
 
@@ -182,7 +184,10 @@ def precompute(
 
 
 def compute_transfer(
-    planned: PlannedScene, advance: Callable[[int, int], None] = lambda _done, _total: None
+    planned: PlannedScene,
+    advance: Callable[[int, int], None] = lambda _done, _total: None,
+    *,
+    lamps: bool = True,
 ) -> Transfer:
     """All vectors of a planned scene, in memory.
 
@@ -191,6 +196,8 @@ def compute_transfer(
     planned : PlannedScene
     advance : callable
         Given (vertices finished since the last call, vertices in all).
+    lamps : bool
+        Whether light that is not distant is wanted.
     """
     scene, plan, settings = planned.scene, planned.plan, planned.settings
     receivers, mesh = scene.receivers, scene.mesh
@@ -207,17 +214,14 @@ def compute_transfer(
     interior.fill(vectors)
     interior.fill(blocked)
     planned.clock.stop("transport")
+    fixed, fixed_rays = direct_fixed_lights(planned, interior) if lamps else (None, 0)
+    if fixed is not None:
+        planned.clock.stop("fixed lights")
+    rays += fixed_rays
     bounces = 0
     if plan.interreflection:
-        nodes = max(1, round(GATHER_SHARE * settings.samples))
-        gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
-        if settings.bounces is not None:
-            bounces = settings.bounces
-        else:
-            bounces = count_bounces(gather, receivers.albedo, np.where(receivers.active, 1.0 - blocked, 0.0))
-        vectors = add_bounces(gather, receivers.albedo, vectors[:, 0], plan.channels, bounces)
-        interior.fill(vectors)
-        rays += gather.rays
+        vectors, fixed, bounces, gathered = _reflect(planned, vectors, fixed, blocked, interior, report)
+        rays += gathered
         planned.clock.stop("interreflection")
     if plan.view is not None:
         mesh = replace(mesh, albedo=np.ones_like(mesh.albedo))  # the reflectance is in the vectors
@@ -237,4 +241,32 @@ def compute_transfer(
         environment=scene.environment,
         view=scene.view,
         toward_view=plan.view is not None,
+        fixed=fixed,
     )
+
+
+def _reflect(
+    planned: PlannedScene,
+    vectors: NDArray[np.float32],
+    fixed: FixedLights | None,
+    blocked: NDArray[np.float32],
+    interior: InteriorVertices,
+    report: Callable[[int], None],
+) -> tuple[NDArray[np.float32], FixedLights | None, int, int]:
+    """Vectors and light of lamps with what surfaces reflect onto each other; the number of bounces, and of rays."""
+    scene, plan, settings = planned.scene, planned.plan, planned.settings
+    receivers = scene.receivers
+    nodes = max(1, round(GATHER_SHARE * settings.samples))
+    gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
+    if settings.bounces is not None:
+        bounces = settings.bounces
+    else:
+        bounces = count_bounces(gather, receivers.albedo, np.where(receivers.active, 1.0 - blocked, 0.0))
+    vectors = add_bounces(gather, receivers.albedo, vectors[:, 0], plan.channels, bounces)
+    interior.fill(vectors)
+    if fixed is not None:
+        bounced = bounced_light(gather, receivers.albedo, fixed.direct, plan.channels, settings.bounces)
+        for light in bounced:
+            interior.fill(light)
+        fixed = replace(fixed, bounced=bounced)
+    return vectors, fixed, bounces, gather.rays

@@ -1,7 +1,8 @@
 """Transfer as it was traced, in a NumPy ``.npz`` file: to keep, or to read with other tools.
 
 ``numpy.load`` shows its arrays by name: ``vectors``, ``positions``, ``normals``, ``faces``, ``albedo``; ``axes`` where
-they are not the normals; those of the scene's own light if it has one; and ``about``, which is all else as JSON.
+they are not the normals; those of the scene's own light if it has one, and of its lamps (``fixed_direct`` and
+``fixed_bounced``, (lamps, V, 3), and what they were set to); and ``about``, which is all else as JSON.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_readable, check_writable
 from slepian_prt.lighting.emitters import SkyEnvironment
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.sky import Disk, SkyQuadrature, Sun
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
@@ -33,6 +35,7 @@ FORMAT = "slepian_prt uncompressed transfer"
 VERSION = 1
 
 _PLAIN = ("bandlimit", "samples", "seed", "bounces", "rays_traced", "seconds", "source", "toward_view")
+_FIXED = ("emitted", "direct", "bounced", "directions")
 _DISK = ("directions", "evaluated", "solid_angles")
 
 
@@ -50,7 +53,7 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
             f"{path}: transfer that is not compressed is kept as .npz; name the file so, or compress it first for .prt"
         )
     mesh, light = transfer.mesh, transfer.environment
-    about = {
+    about: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         **{name: getattr(transfer, name) for name in _PLAIN},
@@ -74,6 +77,9 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
         arrays["axes"] = transfer.axes
     if light is not None:
         arrays |= _light_arrays(light)
+    if transfer.fixed is not None:
+        about["fixed"] = {"names": transfer.fixed.names, "kinds": transfer.fixed.kinds}
+        arrays |= {f"fixed_{name}": getattr(transfer.fixed, name) for name in _FIXED}
     arrays["about"] = np.array(json.dumps(about))
     with atomic_output(path) as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # of its keyword allow_pickle
@@ -137,8 +143,18 @@ def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
         effects=tuple(Effect(**effect) for effect in about["effects"]),
         environment=None if light is None else _light(light["name"], light["clamped"], arrays),
         view=None if about["view"] is None else View(**about["view"]),
+        fixed=_fixed(about["fixed"], arrays, count) if "fixed" in about else None,
         **{name: about[name] for name in _PLAIN},
     )
+
+
+def _fixed(lamps: dict[str, Any], arrays: dict[str, NDArray], count: int) -> FixedLights:
+    """Light of lamps."""
+    emitted, direct, bounced, directions = (arrays[f"fixed_{name}"] for name in _FIXED)
+    number = len(lamps["names"])
+    if direct.shape != (number, count, 3) or bounced.shape != direct.shape:
+        raise ValueError(f"light of {number} lamps of shape {direct.shape} for {count} vertices")
+    return FixedLights(tuple(lamps["names"]), tuple(lamps["kinds"]), emitted, direct, bounced, directions)
 
 
 # --- The scene's own light -------------------------------------------------------------------------------------------

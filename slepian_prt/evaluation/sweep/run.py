@@ -86,7 +86,7 @@ def sweep(
             of_rays = planned.with_settings(samples=samples, bounces=bounces)
             shares = measure_shares(of_rays, axes.bandlimits)
             of_rays.clock.stop("timing")
-            transfer = compute_transfer(of_rays)
+            transfer = compute_transfer(of_rays, lamps=False)
             for setting in left:
                 report(setting.label)
                 points[setting] = measurer.measure(setting, transfer, shares[setting.bandlimit])

@@ -1,0 +1,106 @@
+"""Light of lamps at all receivers of a scene, direct and by way of other surfaces."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.transport.interior import InteriorVertices
+from slepian_prt.transport.interreflection import Gather, count_bounces
+from slepian_prt.transport.lamp_light import LampTracer
+from slepian_prt.transport.planned import PlannedScene
+
+log = logging.getLogger(__name__)
+
+# Noise of a lamp that is worth a remark.
+_NOISY = 0.02
+
+
+def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tuple[FixedLights | None, int]:
+    """Direct light of the lamps of a planned scene, and the rays that it took; None without lamps.
+
+    Receivers that nothing can shadow are lit without rays, those inside other geometry as their neighbours are.
+
+    Raises
+    ------
+    UserError
+        Light that is negative or not finite somewhere.
+    """
+    scene, lamps, settings = planned.scene, planned.lamps, planned.settings
+    if not lamps.groups or planned.plan.view is not None:
+        return None, 0
+    count = len(scene.receivers)
+    shadowed = np.zeros(count, dtype=bool)
+    shadowed[planned.plan.shadowed] = True
+    dark = scene.is_hidden if planned.plan.shadowed.size else np.zeros(count, dtype=bool)
+    direct = np.zeros((len(lamps.groups), count, 3), dtype=np.float32)
+    tracer = LampTracer(scene, lamps.groups, settings.samples, settings.seed)
+    lit = scene.receivers.active & ~dark
+    squared_noise = np.zeros(len(lamps.groups))
+    for chosen, shadows in ((np.flatnonzero(lit & shadowed), True), (np.flatnonzero(lit & ~shadowed), False)):
+        if chosen.size:
+            traced = tracer.trace(chosen, shadows=shadows)
+            direct[:, chosen] = traced.radiance
+            squared_noise += traced.squared_noise
+    _check(scene.path, lamps.names, direct)
+    noise = np.sqrt(squared_noise / np.maximum(np.sum(direct.astype(np.float64) ** 2, axis=(1, 2)), 1e-300))
+    for name, reached, light, relative in zip(lamps.names, lamps.reached, direct, noise, strict=True):
+        interior.fill(light)
+        _remark(scene.path, name, float(reached), light, float(relative))
+    fixed = FixedLights(lamps.names, lamps.kinds, lamps.emitted, direct, np.zeros_like(direct), lamps.directions)
+    return fixed, tracer.rays
+
+
+def bounced_light(
+    gather: Gather,
+    albedo: NDArray,
+    direct: NDArray[np.float32],
+    channels: int,
+    bounces: int | None,
+) -> NDArray[np.float32]:
+    """(n, V, 3) light of n lamps that comes by way of other surfaces.
+
+    Parameters
+    ----------
+    gather : Gather
+    albedo : (V, 3)
+    direct : (n, V, 3)
+        For unit albedo.
+    channels : 1 (the mean of the albedo stands for all) or 3
+    bounces : int or None
+        None until the rest of each lamp's light is less than a thousandth.
+    """
+    bounced = np.zeros_like(direct)
+    if bounces is None:
+        bounces = max((count_bounces(gather, albedo, light.max(axis=1)) for light in direct), default=0)
+    for channel in range(3):
+        reflectance = (albedo.mean(axis=1) if channels == 1 else albedo[:, channel]).astype(np.float32)
+        light = np.ascontiguousarray(direct[:, :, channel].T)
+        for _ in range(bounces):
+            light = gather.reflected(reflectance, light)
+            bounced[:, :, channel] += light.T
+    return bounced
+
+
+def _check(path: str, names: Sequence[str], direct: NDArray[np.float32]) -> None:
+    for name, light in zip(names, direct, strict=True):
+        if not np.isfinite(light).all():
+            raise UserError(f"{path}: the light of lamp '{name}' is not finite somewhere; scale it down or repair it")
+        if light.min(initial=0.0) < 0.0:
+            raise UserError(f"{path}: the light of lamp '{name}' is negative somewhere; repair its texture")
+
+
+def _remark(path: str, name: str, reached: float, light: NDArray[np.float32], noise: float) -> None:
+    """What is worth knowing of a lamp: that it lights nothing, and why; that its light is noisy."""
+    if not light.any():
+        reason = "it is inside a closed shape, or hidden" if reached > 0.0 else "it shines past all of them"
+        log.info("%s: lamp '%s' lights no vertex: %s", path, name, reason)
+    elif noise > _NOISY:
+        log.info(
+            "%s: the light of lamp '%s' has a noise of %.0f %%; more `samples` lessen it", path, name, 100.0 * noise
+        )

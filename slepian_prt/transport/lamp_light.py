@@ -1,0 +1,250 @@
+"""What lamps send to receivers directly, by Mitsuba's own sampling of emitters.
+
+A receiver of unit albedo sends back E/π. Lamps that are points or directions take one sample. Light of surfaces is
+sampled twice, toward the lamp as Mitsuba does it, and along the cosine of the receiver; what both find is weighted by
+the power heuristic (Veach 1997, Sec. 9.2). The first is right for small lamps, the second near large ones, where the
+first would have the noise of 1/r².
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.scene.scene import Scene, mitsuba_scene
+from slepian_prt.transport.hemisphere import upload_origins
+
+_RAYS_PER_BLOCK = 1 << 20
+
+# Additive recurrences (Roberts 2018): two dimensions by the root of x³ = x + 1, a third by the golden ratio.
+_STEPS = tuple(int(step * 2**32) for step in (0.7548776662466927, 0.5698402909980532, 0.6180339887498949))
+
+# Shadow rays stop this part of the way before the lamp, about as Mitsuba's own do (its ShadowEpsilon).
+_SHORTENED = 1e-3
+
+# Fewest samples of a lamp that is a surface.
+_FEWEST = 32
+
+
+class Group(NamedTuple):
+    """Emitters that are sampled as one.
+
+    Attributes
+    ----------
+    emitters : (m,) int
+        Places among the emitters of the scene.
+    weights : (m,) float64
+        With what probability each is chosen.
+    sampled : bool
+        Whether there is anything to choose: several emitters, or a surface.
+    """
+
+    emitters: NDArray[np.int64]
+    weights: NDArray[np.float64]
+    sampled: bool
+
+
+class DirectLight(NamedTuple):
+    """Radiance of unit albedo from n groups of lamps.
+
+    Attributes
+    ----------
+    radiance : (n, V, 3) float32
+    squared_noise : (n,) float64
+        Sum of the squared errors, as the halves of the samples tell them; 0 of what is not sampled.
+    rays : int
+    """
+
+    radiance: NDArray[np.float32]
+    squared_noise: NDArray[np.float64]
+    rays: int
+
+
+def samples_of(groups: list[Group], samples: int) -> tuple[int, int]:
+    """Samples toward each lamp that is sampled, and along the cosine for all of them, of ``samples`` for a receiver."""
+    count = sum(group.sampled for group in groups)
+    if count == 0:
+        return 1, 0
+    each = max(_FEWEST, samples // (count + 1))
+    return each + each % 2, each + each % 2
+
+
+@dataclass(eq=False)
+class LampTracer:
+    """Samples lamps from receivers.
+
+    Attributes
+    ----------
+    scene : Scene
+    groups : list of Group
+    samples : int
+        For a receiver, of all lamps.
+    seed : int
+        Of the shifts of the sample set at each receiver.
+    rays : int
+        Traced so far.
+    """
+
+    scene: Scene
+    groups: list[Group]
+    samples: int
+    seed: int
+    rays: int = 0
+
+    def trace(self, vertices: NDArray[np.int64], *, shadows: bool) -> DirectLight:
+        """Light at n receivers; without ``shadows`` as if nothing stood in its way.
+
+        Returns
+        -------
+        DirectLight
+            With the receivers given in the place of all.
+        """
+        before = self.rays
+        toward, along = samples_of(self.groups, self.samples)
+        halves = np.zeros((len(self.groups), 2, vertices.size, 3))
+        for number, group in enumerate(self.groups):
+            count = toward if group.sampled else 1
+            for chosen in _blocks(vertices.size, count):
+                light = self._toward(number, vertices[chosen], count, along if shadows else 0, shadows)
+                halves[number, :, chosen] += light
+        if shadows and along:
+            for chosen in _blocks(vertices.size, along):
+                halves[:, :, chosen] += self._along(vertices[chosen], toward, along)
+        radiance = halves.mean(axis=1)
+        squared_noise = np.sum((0.5 * (halves[:, 0] - halves[:, 1])) ** 2, axis=(1, 2))
+        return DirectLight(radiance.astype(np.float32), squared_noise, self.rays - before)
+
+    @cached_property
+    def _geometry(self) -> Any:
+        """A Mitsuba scene of all shapes, those that shine as they were before they were cut into faces.
+
+        A sphere that shines inward would be behind its own chords.
+        """
+        scene = self.scene
+        shining = {i: shape for i, shape in enumerate(scene.loaded.shapes()) if shape.is_emitter()}
+        if not shining:
+            return scene.geometry
+        names = {shape.id() or f"shape_{i}" for i, shape in shining.items()}
+        receiving = [shape for shape, part in zip(scene.shapes, scene.parts, strict=False) if part.name not in names]
+        occluders = [shape for shape in scene.occluders if not shape.is_emitter()]
+        return mitsuba_scene(replace(scene, shapes=(*receiving, *occluders, *shining.values())))
+
+    def _toward(
+        self, number: int, vertices: NDArray[np.int64], count: int, along: int, shadows: bool
+    ) -> NDArray[np.float64]:
+        """(2, n, 3) estimates of the halves of ``count`` samples toward a group of lamps."""
+        import drjit as dr
+
+        mi, group = self.scene.mi, self.groups[number]
+        place, u, origin_of, it = self._start(vertices, count, number)
+        emitters, pick = self.scene.loaded.emitters_dr(), mi.UInt32(0)
+        if group.emitters.size > 1:
+            ends = mi.Float(np.cumsum(group.weights)[:-1].astype(np.float32))
+            pick = dr.binary_search(0, group.emitters.size - 1, lambda i: dr.gather(mi.Float, ends, i) <= u[2])
+        emitter = dr.gather(mi.EmitterPtr, emitters, dr.gather(mi.UInt32, mi.UInt32(group.emitters), pick))
+        chance = dr.gather(mi.Float, mi.Float(group.weights.astype(np.float32)), pick)
+        ds, weight = emitter.sample_direction(it, mi.Point2f(u[0], u[1]), dr.squared_norm(it.n) > 0.5)
+        cosine = dr.maximum(dr.dot(it.n, ds.d), 0.0) * dr.inv_pi
+        lit = (ds.pdf > 0.0) & (cosine > 0.0)
+        if shadows:
+            ray = mi.Ray3f(origin_of(place, ds.d), ds.d)
+            ray.maxt = ds.dist * (1.0 - _SHORTENED)
+            lit &= ~self._geometry.ray_test(ray, lit)
+            self.rays += dr.width(place)
+        part = dr.select(ds.delta, 1.0, _heuristic(count * chance * ds.pdf, along * cosine))
+        value = mi.Color3f(mi.unpolarized_spectrum(weight)) * cosine * part / chance
+        return _halves(mi, dr.select(lit, value, 0.0), vertices.size, count)
+
+    def _along(self, vertices: NDArray[np.int64], toward: int, count: int) -> NDArray[np.float64]:
+        """(groups, 2, n, 3) estimates of the halves of ``count`` samples along the cosine, of the lamps they meet."""
+        import drjit as dr
+
+        mi, geometry = self.scene.mi, self._geometry
+        place, u, origin_of, it = self._start(vertices, count, len(self.groups))
+        outward = mi.Frame3f(it.n).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
+        cosine = dr.maximum(dr.dot(it.n, outward), 0.0) * dr.inv_pi
+        ray = mi.Ray3f(origin_of(place, outward), outward)
+        hit = geometry.ray_intersect(ray, (dr.squared_norm(it.n) > 0.5) & (cosine > 0.0))
+        self.rays += dr.width(place)
+        emitter = hit.emitter(geometry)
+        group_of, chance_of = self._groups_by_number()
+        valid = hit.is_valid() & (emitter != None)  # noqa: E711  # an array of pointers
+        number: Any = dr.reinterpret_array(mi.UInt32, emitter)
+        group = dr.select(valid, dr.gather(mi.Int32, group_of, number, valid), -1)
+        valid &= group >= 0
+        pdf = emitter.pdf_direction(it, mi.DirectionSample3f(geometry, hit, it), valid)
+        pdf *= toward * dr.gather(mi.Float, chance_of, number, valid)
+        part = _heuristic(count * cosine, pdf)
+        value = dr.select(valid, mi.Color3f(mi.unpolarized_spectrum(emitter.eval(hit, valid))) * part, 0.0)
+        dr.eval(value, group)
+        found = [
+            _halves(mi, dr.select(group == i, value, 0.0), vertices.size, count)
+            if self.groups[i].sampled
+            else np.zeros((2, vertices.size, 3))
+            for i in range(len(self.groups))
+        ]
+        return np.stack(found)
+
+    def _start(self, vertices: NDArray[np.int64], count: int, stream: int) -> tuple[Any, Any, Any, Any]:
+        """Places among the receivers, numbers in [0, 1)³, what gives origins of rays, and points to sample from."""
+        import drjit as dr
+
+        mi, scene = self.scene.mi, self.scene
+        lane = dr.arange(mi.UInt32, vertices.size * count)
+        place = lane // dr.opaque(mi.UInt32, count)
+        # By the receiver, whatever block it is in, the same shift.
+        rng = np.random.default_rng([self.seed, stream])
+        shifts = rng.integers(1 << 32, size=(3, len(scene.receivers)), dtype=np.uint32)[:, vertices]
+        u = [
+            mi.Float((lane - place * count) * mi.UInt32(step) + dr.gather(mi.UInt32, mi.UInt32(shift), place))
+            * 2.0**-32
+            for step, shift in zip(_STEPS, shifts, strict=True)
+        ]
+        u = [dr.minimum(value, 1.0 - 2.0**-24) for value in u]
+        origin_of = upload_origins(mi, scene.ray_origins, vertices)
+        normals = mi.Normal3f(scene.receivers.normals[vertices].T.astype(np.float32))
+        it = dr.zeros(mi.SurfaceInteraction3f, vertices.size * count)
+        it.p, it.n = origin_of(place, mi.Vector3f(0.0)), dr.gather(mi.Normal3f, normals, place)
+        return place, u, origin_of, it
+
+    def _groups_by_number(self) -> tuple[Any, Any]:
+        """By Dr.Jit's number of an emitter, the group that it is in (-1: none) and the probability to choose it."""
+        import drjit as dr
+
+        mi = self.scene.mi
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, self.scene.loaded.emitters_dr()))
+        group_of = np.full(int(numbers.max()) + 1, -1, dtype=np.int32)
+        chance_of = np.zeros(group_of.size, dtype=np.float32)
+        for index, group in enumerate(self.groups):
+            if group.sampled:
+                group_of[numbers[group.emitters]] = index
+                chance_of[numbers[group.emitters]] = group.weights
+        return mi.Int32(group_of), mi.Float(chance_of)
+
+
+def _blocks(size: int, count: int) -> list[slice]:
+    """Receivers of ``count`` rays each that are traced at a time."""
+    step = max(1, _RAYS_PER_BLOCK // count)
+    return [slice(begin, min(begin + step, size)) for begin in range(0, size, step)]
+
+
+def _heuristic(own: Any, other: Any) -> Any:
+    """What a sample counts for: the square of its density among those of both ways to find it."""
+    import drjit as dr
+
+    return dr.select(own > 0.0, dr.rcp(1.0 + dr.square(other / own)), 0.0)
+
+
+def _halves(mi: Any, value: Any, size: int, count: int) -> NDArray[np.float64]:
+    """(2, n, 3) means of the first and the second half of ``count`` values of each receiver; both the same of one."""
+    import drjit as dr
+
+    if count == 1:
+        return np.repeat(np.array(value, dtype=np.float64).reshape(3, 1, size).transpose(1, 2, 0), 2, axis=0)
+    half = count // 2
+    sums = [np.array(dr.block_sum(channel, half), dtype=np.float64) for channel in value]
+    return np.stack(sums, axis=-1).reshape(size, 2, 3).transpose(1, 0, 2) / half
