@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.relighting.pictures import encode_srgb
 from slepian_prt.scene.formats.parts import Texture, Wrap
+from slepian_prt.scene.ids import load_keeping_ids
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.surface_detail import SurfaceDetail
@@ -168,9 +169,7 @@ def _coordinates(
     start = inside.reshape(-1, 3) - np.repeat(reach, 3)[:, None] * down
     ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(down.T.astype(np.float32)))
     ray.maxt = mi.Float(2.0 * np.repeat(reach, 3).astype(np.float32))
-    name = shape.id()
-    hit = mi.load_dict({"type": "scene", "shape": shape}).ray_intersect(ray)
-    shape.set_id(name)  # it has got the key as its id
+    hit = load_keeping_ids(mi, {"type": "scene", "shape": shape}).ray_intersect(ray)
     uv = np.array(hit.uv, dtype=np.float64).T.reshape(-1, 3, 2)
     # A closed shape goes on from 1 at 0.
     if not shape.is_mesh():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.relighting.camera import relit_camera
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.relighting.relight import relight
-from slepian_prt.relighting.scene_pictures import Light, own_environment, scene_camera
+from slepian_prt.relighting.scene_pictures import Light, own_environment, scale_lamps, scene_camera
 from slepian_prt.relighting.scene_source import Source, find_source, missing_in_picture, open_source
 from slepian_prt.relighting.shots import Drawing, SceneDrawing, VertexDrawing
 from slepian_prt.scene.view import Aim
@@ -33,6 +34,8 @@ class Lit:
         Coefficients, in the world of the file.
     radiance : (B, V, 3) float32
         Of the vertices under them.
+    fixed_lights : number, or mapping of names to numbers
+        What the light of the scene's lamps is multiplied by.
     environments : callable
         Gives the maps that the lights are of, as they stand; called where they are to be seen. It gives nothing for
         light that is only coefficients.
@@ -42,6 +45,7 @@ class Lit:
 
     lighting: NDArray[np.float64]
     radiance: NDArray[np.float32]
+    fixed_lights: float | Mapping[str, float] = 1.0
     environments: Callable[[], Sequence[Environment]] = tuple
     own_turns: Sequence[NDArray[np.float64]] | None = None
 
@@ -115,7 +119,9 @@ def open_drawing(
                 raise
             report(f"{error}; until then pictures are drawn from the file alone")
     camera = relit_camera(packed, taking.width, taking.aim, source.detail)
-    return VertexDrawing(camera, white_radiance(packed, lit.lighting) if camera.is_textured else lit.radiance)
+    return VertexDrawing(
+        camera, white_radiance(packed, lit.lighting, lit.fixed_lights) if camera.is_textured else lit.radiance
+    )
 
 
 def locate_source(
@@ -165,6 +171,7 @@ def _scene_drawing(
     report: Callable[[str], None],
 ) -> SceneDrawing:
     assert source.origin is not None
+    scale_lamps(mi, source.scene, lit.fixed_lights)
     camera = scene_camera(mi, packed, source.scene, source.origin, taking.width or _WIDTH, taking.aim)
     camera = replace(camera, samples=taking.samples)
     environments: list[Environment | None] = list(lit.environments()) or [None] * len(lit.lighting)
@@ -176,9 +183,16 @@ def _scene_drawing(
     return SceneDrawing(camera, lights, report)
 
 
-def white_radiance(transfer: Transfer | CompressedTransfer, lighting: NDArray[np.float64]) -> NDArray[np.float32]:
-    """(B, V, 3) radiance that receivers of unit albedo would send back, under lights (B, 3, (L+1)²)."""
-    if isinstance(transfer, CompressedTransfer):
-        return transfer_operator(transfer).apply(lighting)
-    white = replace(transfer.mesh, albedo=np.ones_like(transfer.mesh.albedo))
-    return relight(replace(transfer, mesh=white), lighting)
+def white_radiance(
+    transfer: Transfer | CompressedTransfer,
+    lighting: NDArray[np.float64],
+    fixed_lights: float | Mapping[str, float] = 1.0,
+) -> NDArray[np.float32]:
+    """(B, V, 3) radiance that receivers of unit albedo would send back, under lights (B, 3, (L+1)²) and the lamps."""
+    if not isinstance(transfer, CompressedTransfer):
+        white = replace(transfer.mesh, albedo=np.ones_like(transfer.mesh.albedo))
+        return relight(replace(transfer, mesh=white), lighting, fixed_lights=fixed_lights)
+    radiance = transfer_operator(transfer).apply(lighting)
+    if transfer.fixed is not None:
+        radiance += transfer.fixed.radiance(lamp_scales(transfer.fixed, fixed_lights))
+    return radiance

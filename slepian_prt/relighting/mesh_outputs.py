@@ -140,6 +140,5 @@ def make_canvas(
         detail = None
     white = None
     if detail is not None:
-        assert series.lighting is not None
-        white = white_radiance(packed, series.lighting)
+        white = white_radiance(packed, series.lighting, series.fixed_lights)
     return Canvas(packed.mesh, packed.parts, series.radiance, white, detail, wish.up)

@@ -129,8 +129,7 @@ def write_relit(
 def _shots(
     mi: Any, packed: CompressedTransfer, series: Series, wish: Wish, file: str, report: Callable[[str], None]
 ) -> Shots:
-    assert series.lighting is not None
-    lights, lit = series.lights, Lit(series.lighting, series.radiance)
+    lights, lit = series.lights, Lit(series.lighting, series.radiance, series.fixed_lights)
     if lights is not None:
         maps = (lambda: series.environments) if lights.shown else (lambda: read_environments(lights))
         lit = replace(lit, environments=maps, own_turns=None if lights.maps else lights.own_turns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from slepian_prt.relighting.relight import relight, stand_lighting
 from slepian_prt.relighting.shots import Shots
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.view import Aim, up_rotation
+from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import Transfer
 
 log = logging.getLogger(__name__)
@@ -37,6 +39,7 @@ def render_picture(
     up: str | None = None,
     background: str = "transparent",
     exposure: float = 0.0,
+    fixed_lights: float | Mapping[str, float] = 1.0,
     scene: str | Path | None = None,
     samples: int | None = None,
     scene_linear: bool = False,
@@ -63,6 +66,8 @@ def render_picture(
         ``transparent``, ``map`` (the environment behind the model), a name of a colour, or #rrggbb.
     exposure : float
         Stops brighter (or, below zero, darker) than an exposure that suits the model.
+    fixed_lights : number, or mapping of names to numbers
+        What the light of the scene's lamps is multiplied by, as of `relight`.
     scene : path, optional
         The scene or mesh file that the transfer was made from, where it is not where it was. Textures, mirrors, glass
         and whatever else the transfer does not hold are drawn from it.
@@ -83,7 +88,9 @@ def render_picture(
         A view, background or light that makes no sense; ``map`` without a map.
     """
     finish = Finish(background, exposure)
-    picture, scale = _draw(transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, samples), finish)
+    picture, scale = _draw(
+        transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, samples), finish, fixed_lights
+    )
     if scene_linear:
         return linear(picture, finish.factor, finish.colour)
     return display(picture, scale * finish.factor, finish.colour).astype(np.float32)
@@ -100,6 +107,7 @@ def save_picture(
     up: str | None = None,
     background: str = "transparent",
     exposure: float = 0.0,
+    fixed_lights: float | Mapping[str, float] = 1.0,
     scene: str | Path | None = None,
     samples: int | None = None,
 ) -> None:
@@ -108,7 +116,7 @@ def save_picture(
     Parameters
     ----------
     path : path
-    transfer, lighting, width, look_at, fov, up, background, exposure, scene, samples
+    transfer, lighting, width, look_at, fov, up, background, exposure, fixed_lights, scene, samples
         As of `render_picture`.
 
     Raises
@@ -119,14 +127,20 @@ def save_picture(
     path = Path(path)
     if path.suffix.lower() not in (".png", ".exr"):
         raise UserError(f"{path}: pictures are written as .png or .exr, not '{path.suffix}'")
-    check_writable(path, *([lighting] if isinstance(lighting, str | Path) else []))
+    check_writable(path, *(given for given in (lighting, scene) if isinstance(given, str | Path)))
     finish = Finish(background, exposure)
-    picture, scale = _draw(transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, samples), finish)
+    picture, scale = _draw(
+        transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, samples), finish, fixed_lights
+    )
     write_picture(path, picture, scale, finish)
 
 
 def _draw(
-    transfer: Transfer | CompressedTransfer, lighting: Any, taking: Taking, finish: Finish
+    transfer: Transfer | CompressedTransfer,
+    lighting: Any,
+    taking: Taking,
+    finish: Finish,
+    fixed_lights: float | Mapping[str, float],
 ) -> tuple[Picture, float]:
     """A picture with the map behind it if it is to be seen, and the exposure that suits the model."""
     if taking.width is not None:
@@ -138,7 +152,10 @@ def _draw(
         environment = read_environment(environment)
     if finish.background == MAP and not isinstance(environment, Environment):
         raise UserError("the map cannot be the background: the light is given as spherical harmonics; name the map")
-    coefficients = stand_lighting(environment, transfer.bandlimit, up)
+    if environment is None:
+        coefficients = np.zeros((3, num_coefficients(transfer.bandlimit)))
+    else:
+        coefficients = stand_lighting(environment, transfer.bandlimit, up)
     if coefficients.ndim == 3:
         raise UserError(f"a picture is of one light, not of {len(coefficients)}; draw them one by one")
 
@@ -147,17 +164,18 @@ def _draw(
         return (replace(read, to_world=up_rotation(up) @ read.to_world),) if isinstance(read, Environment) else ()
 
     own = (np.eye(3),) if lighting is None else None
-    lit = Lit(coefficients[None], relight(transfer, coefficients)[None], environments, own)
+    radiance = relight(transfer, coefficients, fixed_lights=fixed_lights)
+    lit = Lit(coefficients[None], radiance[None], fixed_lights, environments, own)
     with mitsuba() as mi:
         drawing = open_drawing(mi, transfer, lit, taking, report=log.info)
         return Shots(drawing, 1, finish, environments() if finish.background == MAP else ()).take(0)
 
 
 def _light_of(transfer: Transfer | CompressedTransfer, lighting: Any) -> Any:
-    """The light that is given, or the scene's own."""
+    """The light that is given, or the scene's own; None where its lamps are all of that."""
     if lighting is not None:
         return lighting
     own = transfer.environment if isinstance(transfer, Transfer) else transfer.lighting
-    if own is None:
+    if own is None and transfer.fixed is None:
         raise UserError("the scene has no light of its own; give the path of a map")
     return own

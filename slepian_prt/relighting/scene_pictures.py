@@ -7,7 +7,8 @@ a surface is met that it does hold; textures are looked up at the point seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -16,11 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.fixed_lights import OTHERS
 from slepian_prt.relighting.camera import aim_camera, middle_directions
+from slepian_prt.relighting.mitsuba.bounced_light import lamp_names
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from slepian_prt.relighting.pictures import Picture
+from slepian_prt.scene.ids import load_keeping_ids
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import Aim
@@ -31,6 +36,9 @@ from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
 # the mean of the picture count as being that bright.
 _BATCH, _NOISE, _MOST_SAMPLES = 8, 0.02, 128
 _TILE, _DARK = 8, 0.1
+
+# Parameters that say how bright an emitter is.
+_BRIGHTNESS = r"(radiance|intensity|irradiance)\b.*(value|data)$"
 
 # Rays that are followed at once.
 _RAYS = 1 << 20
@@ -69,8 +77,6 @@ class SceneCamera:
     sensor : Mitsuba sensor
     samples : int or None
         Of each pixel; None for as many as the noise asks for.
-    fixed_lights : float
-        What the light of lamps is multiplied by.
     """
 
     mi: Any
@@ -78,7 +84,6 @@ class SceneCamera:
     loaded: Any
     sensor: Any
     samples: int | None = None
-    fixed_lights: float = 1.0
 
     @property
     def directions(self) -> NDArray[np.float32]:
@@ -89,9 +94,7 @@ class SceneCamera:
         """The scene under a light, against an empty background."""
         mi = self.mi
         with _quiet(mi):
-            integrator = scene_integrator(
-                mi, self.packed, lighting=light.lighting, fixed_lights=self.fixed_lights, hide_emitters=False
-            )
+            integrator = scene_integrator(mi, self.packed, lighting=light.lighting)
             scene = _relit_scene(mi, self.loaded, light)
             return _gather(mi, scene, integrator, self.sensor, self.samples)
 
@@ -125,22 +128,52 @@ def environment_of(lighting: NDArray[np.float64]) -> Environment:
 
 def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     """The shapes and lamps of a scene under another distant light."""
-    shapes = loaded.shapes()
-    names = [shape.id() for shape in shapes]
-    entries: dict[str, Any] = {f"shape_{index}": shape for index, shape in enumerate(shapes)}
+    entries: dict[str, Any] = {f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
     on_shapes = mi.EmitterFlags.Surface
     for index, emitter in enumerate(loaded.emitters()):
         if not emitter.is_environment() and not mi.has_flag(emitter.flags(), on_shapes):
             entries[f"emitter_{index}"] = emitter
     environment = light.environment
-    if environment is None and light.lighting is not None:
+    if environment is None and light.lighting is not None and light.lighting.any():
         environment = environment_of(light.lighting)
     if environment is not None:
         entries["environment"] = environment_emitter(mi, environment)
-    scene = mi.load_dict({"type": "scene", **entries})
-    for shape, name in zip(shapes, names, strict=True):
-        shape.set_id(name)  # it has got the key as its id, and parts of the file are found by theirs
-    return scene
+    return load_keeping_ids(mi, {"type": "scene", **entries})
+
+
+def scale_lamps(mi: Any, loaded: Any, scales: float | Mapping[str, float]) -> None:
+    """Make the lamps of a scene so many times as bright, by the names that transfer files know them by.
+
+    Raises
+    ------
+    UserError
+        One of another brightness is wanted whose radiance is an image of bytes.
+    """
+    for emitter in loaded.emitters():
+        if emitter.is_environment():
+            continue
+        names = lamp_names(emitter)
+        scale = _scale_of(names, scales)
+        if scale == 1.0:
+            continue
+        parameters = mi.traverse(emitter)
+        found = [name for name, _ in parameters if re.match(_BRIGHTNESS, name)]
+        own = [name for name, _ in parameters if name == "scale"] or found
+        if not own or any("u8" in type(parameters[name]).__name__.lower() for name in own):
+            raise UserError(
+                f"the brightness of lamp '{names[0]}' cannot be changed in pictures; leave out `fixed_lights`"
+            )
+        for name in own:
+            parameters[name] = parameters[name] * scale
+        parameters.update()
+
+
+def _scale_of(names: Sequence[str], scales: float | Mapping[str, float]) -> float:
+    """Of one lamp; those that a file holds as one have that one's."""
+    if not isinstance(scales, Mapping):
+        return float(scales)
+    joined = next((scale for name, scale in scales.items() if name.endswith(" other lights")), 1.0)
+    return next((scales[name] for name in names if name in scales), scales.get(OTHERS, joined))
 
 
 @contextmanager
