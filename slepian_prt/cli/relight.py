@@ -45,9 +45,16 @@ from slepian_prt.cli.values import LampScale, Names, read_transfer, settings_of
 @width_option("Of a picture", 800)
 @picture_options
 @click.option(
+    "--scene",
+    type=click.Path(),
+    metavar="PATH",
+    help="What FILE was made from: its textures, mirrors, glass are drawn.",
+)
+@click.option("--spp", "samples", type=int, metavar="N", help="Samples of each pixel of such pictures.")
+@click.option(
     "--format",
     "kind",
-    type=click.Choice(["png", "exr", "npz", "ply"]),
+    type=click.Choice(["png", "exr", "npz", "ply", "glb"]),
     default="png",
     show_default=True,
     help="Of the files in a folder.",
@@ -64,11 +71,13 @@ def relight(
     fixed_lights: tuple[tuple[str, float], ...],
     turn_directional: bool,
     width: int | None,
+    scene: str | None,
+    samples: int | None,
     kind: str,
     output: str,
     **options: Any,
 ) -> None:
-    """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply) or picture (.png, .exr).
+    """Relight a transfer FILE: radiance per vertex (.npz), coloured mesh (.ply, .glb) or picture (.png, .exr).
 
     Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
     """
@@ -79,18 +88,18 @@ def relight(
 
     options["background"] = options["background"] or TRANSPARENT
     aim, finish = settings_of(Aim, options), settings_of(Finish, options)
-    wish = Wish(f".{kind}", width, aim, finish)
+    wish = Wish(f".{kind}", width, aim, finish, scene, samples)
     drawn = wish.draws(output)
     lights = Lights(
         environment, rotate, turntable, window, window_width, clamp_negative, aim.axis,
         shown=drawn and finish.background == MAP, fixed_lights=dict(fixed_lights) or 1.0,
         turn_directional=turn_directional,
     )  # fmt: skip
-    check_output(output, [file, *environment], lights.names, wish, several=lights.several)
+    check_output(output, [file, *environment, *([scene] if scene else [])], lights.names, wish, several=lights.several)
     packed = read_transfer(file)
     check_source(output, packed, file)
     series = relight_series(packed, lights, file, note)
-    write_relit(output, packed, series, wish, note)
+    write_relit(output, packed, series, wish, note, file)
     shone = ", ".join(Path(path).name for path in environment) or "the light of the scene"
     several = f", {len(series.names)} results" if lights.several else ""
     say(f"{output}: {len(packed.mesh.positions)} vertices under {shone}{several}")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.lighting.emitters import SkyEnvironment
+from slepian_prt.lighting.emitters import environment_emitter
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.relighting.pictures import Picture, split_alpha
 from slepian_prt.scene.scene import Scene, mitsuba_scene
@@ -42,19 +42,6 @@ class ReferenceVertices:
     noise: float
     samples: int
     seconds: float
-
-
-def environment_emitter(mi: Any, environment: Environment) -> Any:
-    """What to trace in a Mitsuba scene: the scene's own sky as it is, else the ``envmap`` of a map, for `load_dict`."""
-    if isinstance(environment, SkyEnvironment) and environment.emitter is not None:
-        return environment.emitter
-    matrix = np.eye(4)
-    matrix[:3, :3] = environment.to_world
-    return {
-        "type": "envmap",
-        "bitmap": mi.Bitmap(environment.texels),
-        "to_world": mi.ScalarTransform4f(matrix.tolist()),
-    }
 
 
 def render_reference(

@@ -82,6 +82,19 @@ def emitted_environment(mi: Any, emitter: Any, origin: str, clamp_negative: bool
     return _checked(averaged, origin, grid.to_world, emitter, clamp_negative)
 
 
+def environment_emitter(mi: Any, environment: Environment) -> Any:
+    """What to trace in a Mitsuba scene: the scene's own sky as it is, else the ``envmap`` of a map, for `load_dict`."""
+    if isinstance(environment, SkyEnvironment) and environment.emitter is not None:
+        return environment.emitter
+    matrix = np.eye(4)
+    matrix[:3, :3] = environment.to_world
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap(environment.texels),
+        "to_world": mi.ScalarTransform4f(matrix.tolist()),
+    }
+
+
 def project_emitter(
     mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64], origin: str, clamp_negative: bool = False
 ) -> tuple[NDArray[np.float64], int]:

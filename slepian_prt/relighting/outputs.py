@@ -5,35 +5,31 @@ From here on radiance is drawn: on the mesh that its receivers are the vertices 
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output, check_folder, check_writable
-from slepian_prt.lighting.environment import Environment
-from slepian_prt.relighting.backdrop import draw_backdrop
-from slepian_prt.relighting.camera import Camera, relit_camera
-from slepian_prt.relighting.coloured_mesh import write_ply
-from slepian_prt.relighting.pictures import MAP, TRANSPARENT, Finish, Picture, exposure, to_srgb, write_picture
-from slepian_prt.relighting.series import Series
+from slepian_prt.files import check_folder, check_writable
+from slepian_prt.relighting.drawings import Lit, Taking, open_drawing
+from slepian_prt.relighting.films import film_encoder, write_film
+from slepian_prt.relighting.mesh_outputs import GLB, PLY, Canvas, Wanted, make_canvas, write_radiance
+from slepian_prt.relighting.pictures import TRANSPARENT, Finish, write_picture
+from slepian_prt.relighting.series import Series, read_environments
+from slepian_prt.relighting.shots import Shots
+from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.view import Aim
 
 # Of one result; several go to a folder, to one .npz, or to a film.
 PICTURES = (".png", ".exr")
-SUFFIXES = (".npz", ".ply", *PICTURES)
+MESHES = (PLY, GLB)
+SUFFIXES = (".npz", *MESHES, *PICTURES)
 FILM = ".mp4"
-
-_FRAMES_PER_SECOND = 30
 
 
 @dataclass(frozen=True)
@@ -50,12 +46,23 @@ class Wish:
         Of the camera.
     finish : Finish
         Background and exposure.
+    scene : str or None
+        What the transfer was made from, where it is not where it was.
+    samples : int or None
+        Of each pixel of a gathered picture.
     """
 
     suffix: str = ".png"
     width: int | None = None
     aim: Aim = field(default_factory=Aim)
     finish: Finish = field(default_factory=Finish)
+    scene: str | None = None
+    samples: int | None = None
+
+    @property
+    def taking(self) -> Taking:
+        """How pictures are taken."""
+        return Taking(self.width, self.aim, self.scene, self.samples)
 
     def of(self, output: str) -> str:
         """The kind of file that is written."""
@@ -74,6 +81,7 @@ class Wish:
             "look_at": self.aim.look_at is not None,
             "fov": self.aim.fov is not None,
             "background": self.finish.background != TRANSPARENT,
+            "samples": self.samples is not None,
         }
         given = [] if self.draws(output) else [name for name, is_asked in asked.items() if is_asked]
         return [*given, *(["exposure"] if kind == ".npz" and self.finish.exposure else [])]
@@ -85,6 +93,7 @@ def write_relit(
     series: Series,
     wish: Wish,
     report: Callable[[str], None] = lambda _: None,
+    file: str = "",
 ) -> None:
     """Write radiance as what the name of the output says.
 
@@ -98,129 +107,74 @@ def write_relit(
     wish : Wish
     report : callable
         Given a line about each thing worth knowing.
+    file : str
+        Of the transfer: what it was made from is looked for beside it.
     """
-    mesh, kind = packed.mesh, Path(output).suffix.lower()
-    shots = None
     if unused := wish.unused(output):
         report(f"{output}: {', '.join(f'`{name}`' for name in unused)} have no effect on {wish.of(output)} files")
-    if wish.draws(output):
-        camera = relit_camera(packed, wish.width, wish.aim)
-        if not camera.alpha.any():
-            report(f"{output}: the camera sees no front of any surface; the picture is empty")
-        shots = Shots(camera, wish.finish, series.environments)
-    if kind not in (*SUFFIXES, FILM):
-        write_series(output, series, mesh, wish, shots)
-    elif kind == ".npz":
-        write_radiance(output, mesh, series.radiance if len(series.names) > 1 else series.radiance[0], series.names)
-    elif kind == ".ply":
-        scale = write_coloured_mesh(output, mesh, series.radiance[0], factor=wish.finish.factor)
-        report(f"{output}: colours are radiance x {scale:.4g}, tone-mapped")
-    elif kind == FILM:
-        assert shots is not None
-        write_film(output, shots, series.radiance)
-    else:
-        assert shots is not None
-        write_picture(output, *shots.take(series.radiance[0], 0), finish=wish.finish)
-
-
-def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray, names: Sequence[str]) -> None:
-    """``.npz`` with radiance and the mesh.
-
-    ``radiance`` (V, 3) or (B, V, 3) float32, linear RGB; ``names`` (B,) of the lights; ``positions`` (V, 3) float64,
-    ``normals`` (V, 3) float32, ``faces`` (F, 3) int32.
-    """
-    with atomic_output(path) as file:
-        np.savez(
-            file,
-            radiance=np.asarray(radiance, dtype=np.float32),
-            names=np.array(names, dtype=np.str_),
-            positions=mesh.positions,
-            normals=mesh.normals.astype(np.float32),
-            faces=mesh.faces,
-        )
-
-
-def write_coloured_mesh(
-    path: str | Path, mesh: Mesh, radiance: NDArray, scale: float | None = None, factor: float = 1.0
-) -> float:
-    """``.ply`` with tone-mapped sRGB colours per vertex.
-
-    Returns the exposure that they were scaled with: ``scale``, by default that of `exposure`, times ``factor``.
-    """
-    vertices = _vertex_picture(mesh, radiance)
-    scale = (exposure(vertices) if scale is None else scale) * factor
-    write_ply(path, mesh, to_srgb(vertices, scale)[0])
-    return scale
-
-
-def _vertex_picture(mesh: Mesh, radiance: NDArray) -> Picture:
-    """Radiance (V, 3) as a picture of one row, whose pixels are the vertices."""
-    return Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
-
-
-@dataclass(frozen=True)
-class Shots:
-    """A camera, and how its pictures are shown.
-
-    Attributes
-    ----------
-    camera : Camera
-    finish : Finish
-    environments : tuple of Environment
-        One for each light, where the background is the map.
-    """
-
-    camera: Camera
-    finish: Finish
-    environments: tuple[Environment, ...] = ()
-
-    def take(self, radiance: NDArray, number: int) -> tuple[Picture, float]:
-        """The picture under one light, (V, 3), with the environment behind it, and what exposes it by itself."""
-        picture = self.camera.picture(radiance)
-        scale = exposure(picture)
-        if self.finish.background == MAP:
-            picture = picture.over(draw_backdrop(self.environments[number], self.camera.directions))
-        return picture, scale
-
-    def common_exposure(self, radiance: NDArray) -> float:
-        """One exposure for all lights (B, V, 3): that of the brightest."""
-        return min(exposure(self.camera.picture(one)) for one in radiance)
-
-
-def write_series(folder: str | Path, series: Series, mesh: Mesh, wish: Wish, shots: Shots | None) -> None:
-    """One file for each light, all with the same exposure; complete or none of them.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it is not there; its other files are left alone.
-    series : Series
-        Its names are those of the files.
-    mesh : Mesh
-    wish : Wish
-    shots : Shots
-        For pictures.
-    """
-    with _complete_folder(folder) as unfinished:
-        files = [
-            (unfinished / f"{name}{wish.suffix}", one) for name, one in zip(series.names, series.radiance, strict=True)
-        ]
-        if wish.suffix == ".npz":
-            for (path, one), name in zip(files, series.names, strict=True):
-                write_radiance(path, mesh, one, [name])
-        elif wish.suffix == ".ply":
-            scale = min(exposure(_vertex_picture(mesh, one)) for one in series.radiance)
-            for path, one in files:
-                write_coloured_mesh(path, mesh, one, scale, wish.finish.factor)
+    with mitsuba() as mi:
+        if wish.draws(output):
+            shots = _shots(mi, packed, series, wish, file, report)
+            if not shots.drawing.picture(0).alpha.any():
+                report(f"{output}: the camera sees no front of any surface; the picture is empty")
+            _write_shots(output, shots, series.names, wish)
+        elif wish.of(output) == ".npz":
+            _write_numbers(output, series, packed.mesh)
         else:
-            assert shots is not None
-            scale = shots.common_exposure(series.radiance)
-            for number, (path, one) in enumerate(files):
-                write_picture(path, shots.take(one, number)[0], scale, wish.finish)
+            wanted = Wanted(wish.of(output), wish.aim.axis, wish.scene)
+            canvas = make_canvas(mi, packed, series, wanted, file, report)
+            _write_meshes(output, canvas, series.names, wish, report)
+
+
+def _shots(
+    mi: Any, packed: CompressedTransfer, series: Series, wish: Wish, file: str, report: Callable[[str], None]
+) -> Shots:
+    lights, lit = series.lights, Lit(series.lighting, series.radiance, series.fixed_lights)
+    if lights is not None:
+        maps = (lambda: series.environments) if lights.shown else (lambda: read_environments(lights))
+        lit = replace(lit, environments=maps, own_turns=None if lights.maps else lights.own_turns)
+    drawing = open_drawing(mi, packed, lit, wish.taking, file, report)
+    return Shots(drawing, len(series.names), wish.finish, series.environments)
+
+
+def _write_shots(output: str, shots: Shots, names: Sequence[str], wish: Wish) -> None:
+    """A picture, a film, or a folder of pictures with the same exposure."""
+    kind = Path(output).suffix.lower()
+    if kind == FILM:
+        write_film(output, shots)
+    elif kind in PICTURES:
+        write_picture(output, *shots.take(0), finish=wish.finish)
+    else:
+        scale = shots.common_exposure()
+        with complete_folder(output) as folder:
+            for number, name in enumerate(names):
+                write_picture(folder / f"{name}{wish.suffix}", shots.take(number)[0], scale, wish.finish)
+
+
+def _write_numbers(output: str, series: Series, mesh: Mesh) -> None:
+    """Radiance of the vertices, in one file or a folder of them."""
+    if Path(output).suffix.lower() == ".npz":
+        radiance = series.radiance if len(series.names) > 1 else series.radiance[0]
+        write_radiance(output, mesh, radiance, series.names)
+        return
+    with complete_folder(output) as folder:
+        for name, one in zip(series.names, series.radiance, strict=True):
+            write_radiance(folder / f"{name}.npz", mesh, one, [name])
+
+
+def _write_meshes(output: str, canvas: Canvas, names: Sequence[str], wish: Wish, report: Callable[[str], None]) -> None:
+    """A mesh with colours, or a folder of them with the same exposure."""
+    if Path(output).suffix.lower() in MESHES:
+        report(f"{output}: {canvas.write(output, 0, factor=wish.finish.factor)}")
+        return
+    scale = canvas.exposure()
+    with complete_folder(output) as folder:
+        for number, name in enumerate(names):
+            canvas.write(folder / f"{name}{wish.suffix}", number, scale, wish.finish.factor)
 
 
 @contextmanager
-def _complete_folder(folder: str | Path) -> Iterator[Path]:
+def complete_folder(folder: str | Path) -> Iterator[Path]:
     """A new folder whose files are moved to their place when the with-block ends well."""
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -234,60 +188,6 @@ def _complete_folder(folder: str | Path) -> Iterator[Path]:
                 file.replace(folder / file.name)
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from None
-
-
-# --- Films -----------------------------------------------------------------------------------------------------------
-
-
-def film_encoder() -> str:
-    """Path of ffmpeg.
-
-    Raises
-    ------
-    UserError
-        There is none.
-    """
-    installed = shutil.which("ffmpeg")
-    if installed:
-        return installed
-    try:
-        import imageio_ffmpeg
-
-        return str(imageio_ffmpeg.get_ffmpeg_exe())
-    except (ImportError, RuntimeError):
-        raise UserError(
-            "films need ffmpeg; install it, or `pip install imageio-ffmpeg`, or name a folder for the pictures"
-        ) from None
-
-
-def write_film(path: str | Path, shots: Shots, radiance: NDArray) -> None:
-    """``.mp4`` of relit pictures (B, V, 3), over white unless there is a background, all with the same exposure.
-
-    Raises
-    ------
-    UserError
-        There is no encoder, or it fails.
-    """
-    encoder = film_encoder()
-    scale = shots.common_exposure(radiance) * shots.finish.factor
-    background = 1.0 if shots.finish.colour is None else shots.finish.colour
-    # Encoders halve the resolution of colour: sides are even.
-    height, width = (n - n % 2 for n in shots.camera.alpha.shape)
-    with atomic_output(path) as file, tempfile.TemporaryDirectory() as folder:
-        film = Path(folder) / "film.mp4"
-        command = [
-            encoder, "-loglevel", "error", "-f", "rawvideo", "-pixel_format", "rgb24", "-video_size",
-            f"{width}x{height}", "-framerate", str(_FRAMES_PER_SECOND), "-i", "-", "-pix_fmt", "yuv420p", str(film),
-        ]  # fmt: skip
-        frames = (
-            to_srgb(shots.take(one, number)[0], scale, background)[:height, :width].tobytes()
-            for number, one in enumerate(radiance)
-        )
-        run = subprocess.run(command, input=b"".join(frames), capture_output=True)
-        if run.returncode != 0 or not film.is_file():
-            said = run.stderr.decode(errors="replace").strip().splitlines()
-            raise UserError(f"{path}: ffmpeg could not encode the film ({said[-1] if said else 'it says nothing'})")
-        file.write(film.read_bytes())
 
 
 # --- Before the work -------------------------------------------------------------------------------------------------
@@ -306,7 +206,7 @@ def check_output(output: str, inputs: Sequence[str | Path], names: Sequence[str]
         Whether there are several results.
     """
     suffix = Path(output).suffix.lower()
-    if several and suffix in (".png", ".exr", ".ply"):
+    if several and suffix in (*PICTURES, *MESHES):
         raise UserError(f"{output}: is one file for several results; name a folder, or one .npz or .mp4")
     if suffix == FILM:
         if not several:

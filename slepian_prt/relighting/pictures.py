@@ -116,14 +116,23 @@ def from_srgb(values: NDArray) -> NDArray[np.float64]:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
+def roll_off(linear: NDArray) -> NDArray:
+    """Linear values in [0, 1]: those above 0.8 approach 1, and those below zero are zero."""
+    linear = np.maximum(linear, 0.0)
+    knee = 0.8
+    return np.where(linear > knee, knee + (1 - knee) * np.tanh((linear - knee) / (1 - knee)), linear)
+
+
+def encode_srgb(linear: NDArray) -> NDArray[np.float64]:
+    """sRGB values of linear light that is not negative (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-8) ** (1 / 2.4) - 0.055)
+
+
 def tone_map(picture: Picture, scale: float = 1.0, background: ArrayLike = 1.0) -> NDArray[np.float64]:
     """sRGB in [0, 1] over a plain background; radiance times ``scale``, bright parts rolled off above 0.8."""
-    linear = np.maximum(picture.radiance * scale, 0.0)
-    knee = 0.8
-    linear = np.where(linear > knee, knee + (1 - knee) * np.tanh((linear - knee) / (1 - knee)), linear)
+    linear = roll_off(picture.radiance * scale)
     linear = linear + (1.0 - picture.alpha[..., None]) * np.asarray(background)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-8) ** (1 / 2.4) - 0.055)
-    return np.clip(encoded, 0.0, 1.0)
+    return np.clip(encode_srgb(linear), 0.0, 1.0)
 
 
 def to_srgb(picture: Picture, scale: float = 1.0, background: ArrayLike = 1.0) -> NDArray[np.uint8]:

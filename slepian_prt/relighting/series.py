@@ -107,6 +107,11 @@ class Lights:
         return [about_axis(self.up, number * 360.0 / count) for number in range(count)]
 
     @property
+    def own_turns(self) -> list[NDArray[np.float64]]:
+        """Rotation matrices of a light that stands as its scene has it, one for each result."""
+        return [turn @ about_axis(self.up, self.rotate) for turn in self.turns]
+
+    @property
     def stand(self) -> NDArray[np.float64]:
         """The rotation that maps are put up with."""
         return up_rotation(self.up) @ about_up(self.rotate)
@@ -132,6 +137,8 @@ class Series:
         What lamps it has beside that light, by their names, each times a number.
     environments : tuple of Environment
         The lights as they stand, if they are to be seen.
+    lights : Lights or None
+        What was asked for.
     """
 
     names: tuple[str, ...]
@@ -139,6 +146,7 @@ class Series:
     lighting: NDArray[np.float64]
     fixed_lights: dict[str, float]
     environments: tuple[Environment, ...] = ()
+    lights: Lights | None = None
 
 
 def relight_series(
@@ -182,7 +190,8 @@ def relight_series(
             f"{most}{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit"
             f"{remedy})"
         )
-    return Series(lights.names, radiance, lighting, fixed, _read_environments(lights) if lights.shown else ())
+    environments = read_environments(lights) if lights.shown else ()
+    return Series(lights.names, radiance, lighting, fixed, environments, lights)
 
 
 def _remarks_on_lamps(packed: CompressedTransfer, lights: Lights, file: str) -> list[str]:
@@ -199,7 +208,7 @@ def _remarks_on_lamps(packed: CompressedTransfer, lights: Lights, file: str) -> 
     return remarks
 
 
-def _read_environments(lights: Lights) -> tuple[Environment, ...]:
+def read_environments(lights: Lights) -> tuple[Environment, ...]:
     """The maps as they stand, one for each result."""
     stood = [
         replace(light, to_world=lights.stand @ light.to_world)

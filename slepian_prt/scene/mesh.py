@@ -256,12 +256,17 @@ def _twice_in_one_direction(f: NDArray) -> int:
     return int(np.count_nonzero(keys[1:] == keys[:-1]))
 
 
-def _without_degenerate(p: NDArray, f: NDArray, notes: list[str]) -> NDArray:
-    corners = p[f]
+def degenerate_faces(positions: NDArray, faces: NDArray) -> NDArray[np.bool_]:
+    """(F,) which faces have no area but for rounding."""
+    corners = positions[faces]
     sides = corners - np.roll(corners, 1, axis=1)
     area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     rounding = np.spacing(np.abs(corners).max(axis=(1, 2)))
-    degenerate = area <= _DEGENERATE * rounding * np.linalg.norm(sides, axis=2).max(axis=1)
+    return np.asarray(area <= _DEGENERATE * rounding * np.linalg.norm(sides, axis=2).max(axis=1))
+
+
+def _without_degenerate(p: NDArray, f: NDArray, notes: list[str]) -> NDArray:
+    degenerate = degenerate_faces(p, f)
     if degenerate.any():
         notes.append(f"{int(degenerate.sum())} faces of zero area left out")
     return f[~degenerate]

@@ -54,17 +54,34 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     """
     path = Path(path)
     check_crease_angle(crease_angle)
+    file = read_parts(path)
+    mesh = _join(file, path, crease_angle)
+    for note in file.notes:  # of a file that is refused that line alone is told
+        log.info("%s: %s", path, note)
+    return mesh
+
+
+def read_parts(path: Path) -> MeshFile:
+    """The parts of a mesh file as its format has them, not checked yet.
+
+    Raises
+    ------
+    UserError
+        The file is missing, empty, of an unknown kind, or malformed.
+    """
     check_readable(path, f"a mesh file ({', '.join(MESH_SUFFIXES)}) or a Mitsuba .xml")
     if path.stat().st_size == 0:
         raise UserError(f"{path}: the file is empty; export the mesh again")
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         raise UserError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(MESH_SUFFIXES)}")
-    file = _READERS[suffix](path)
-    mesh = _join(file, path, crease_angle)
-    for note in file.notes:  # of a file that is refused that line alone is told
-        log.info("%s: %s", path, note)
-    return mesh
+    return _READERS[suffix](path)
+
+
+def file_albedo(file: MeshFile) -> NDArray[np.float32]:
+    """(V, 3) what the materials, textures and colours of all parts reflect at their vertices."""
+    textures = decode_textures(file.parts)
+    return np.concatenate([vertex_albedo(part, textures)[0] for part in file.parts])
 
 
 def check_crease_angle(angle: Any) -> None:

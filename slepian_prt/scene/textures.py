@@ -21,6 +21,9 @@ _CODES = np.arange(256) / 255.0
 _FROM_SRGB = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)
 _LINEAR = _CODES.astype(np.float32)
 
+# Formats that any reader of meshes knows, by Pillow's names, with their suffixes.
+_WIDELY_READ = {"PNG": ".png", "JPEG": ".jpg"}
+
 # Texels that are decoded from 8 bits at a time.
 _TEXELS = 1 << 22
 
@@ -47,10 +50,7 @@ class FilteredTexture:
 
     def __init__(self, texture: Texture, *, is_srgb: bool, finest: int = 0) -> None:
         self._wrap = texture.wrap
-        codes = _decode(texture)
-        table = _FROM_SRGB if is_srgb else _LINEAR
-        height, width = (_shrunk(size, finest) for size in codes.shape[:2])
-        level = _first_level(codes, table, height, width)
+        level = decode_texture(texture, is_srgb=is_srgb, finest=finest)
         self._levels = [level]
         while max(level.shape[:2]) > 1:
             height, width = (_shrunk(size, 1) for size in level.shape[:2])
@@ -86,6 +86,38 @@ class FilteredTexture:
         top = (1.0 - u) * level[rows[0], columns[0]] + u * level[rows[0], columns[1]]
         bottom = (1.0 - u) * level[rows[1], columns[0]] + u * level[rows[1], columns[1]]
         return np.asarray((1.0 - v) * top + v * bottom)
+
+
+def decode_texture(texture: Texture, *, is_srgb: bool, finest: int = 0) -> NDArray[np.float32]:
+    """(H, W, 3) linear values of a texture; ``finest`` is how often it is halved.
+
+    Raises
+    ------
+    UserError
+        It is missing, or no image.
+    """
+    codes = _decode(texture)
+    height, width = (_shrunk(size, finest) for size in codes.shape[:2])
+    return _first_level(codes, _FROM_SRGB if is_srgb else _LINEAR, height, width)
+
+
+def encoded_image(texture: Texture) -> tuple[bytes, str]:
+    """A texture as a PNG or JPEG file, and its suffix: as it is if it is one, else as a PNG of 8 bits.
+
+    Raises
+    ------
+    UserError
+        It is missing, or no image.
+    """
+    with _opened(texture) as image:
+        kind, usual = image.format, image.mode in ("1", "L", "LA", "P", "RGB", "RGBA")
+    if usual and kind in _WIDELY_READ:
+        return texture.source if isinstance(texture.source, bytes) else texture.source.read_bytes(), _WIDELY_READ[kind]
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(_decode(texture)).save(stream, "PNG")
+    return stream.getvalue(), ".png"
 
 
 def image_size(texture: Texture) -> tuple[int, int]:

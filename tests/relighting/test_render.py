@@ -13,7 +13,8 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.backdrop import draw_backdrop, look_up
 from slepian_prt.relighting.camera import aim_camera
 from slepian_prt.relighting.coloured_mesh import write_ply
-from slepian_prt.relighting.outputs import Wish, check_output, check_source, write_coloured_mesh
+from slepian_prt.relighting.mesh_outputs import write_coloured_mesh
+from slepian_prt.relighting.outputs import Wish, check_output, check_source
 from slepian_prt.relighting.pictures import Finish, Picture, display, linear
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.render import render_picture, save_picture
