@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.scene.loading import _load_xml as load_xml
+from slepian_prt.scene.mitsuba_files import load_xml
 from slepian_prt.scene.surface_detail import SurfaceDetail, read_surface_detail
 from slepian_prt.transport.transfer import Transfer
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.scene.materials import diffuse_reflectance
+from slepian_prt.scene.materials import diffuse_reflectance, vertex_reflectance
 from slepian_prt.scene.mesh import Mesh, check_geometry, make_mesh
 from slepian_prt.scene.normals import face_areas
 from slepian_prt.scene.parametric import PARAMETRIC, cut_cube, parametric
@@ -30,6 +30,8 @@ class ReceivingShape:
         Whether it is a lamp too.
     original : ReceivingShape or None
         What it is a copy of.
+    texture_lost : float
+        Relative RMS by which what is interpolated between vertices is off from a textured albedo.
     """
 
     shape: Any
@@ -37,6 +39,7 @@ class ReceivingShape:
     triangles: Triangles
     shines: bool = False
     original: ReceivingShape | None = None
+    texture_lost: float = 0.0
 
 
 def shape_triangles(mi: Any, shape: Any, origin: str, diagonal: float, fewest: int) -> Triangles | None:
@@ -89,8 +92,9 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, triangles: Tria
     positions, faces = triangles.positions, triangles.faces
     mesh = make_mesh(positions, faces, normals=triangles.normals, name=name, origin=origin)
     traced = shape if triangles.are_own else mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
-    albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
-    return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles, shape.is_emitter())
+    albedo, lost = vertex_reflectance(mi, traced, positions, mesh.normals, faces, origin)
+    known = replace(mesh, albedo=albedo, known_albedo=False)
+    return ReceivingShape(traced, known, triangles, shape.is_emitter(), texture_lost=lost)
 
 
 def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> NDArray[np.float32]:
