@@ -50,29 +50,6 @@ def lets_all_light_through(mi: Any, bsdf: Any) -> bool:
     return number is not None and number[0] in parameters and bool(np.all(np.array(parameters[number[0]]) == number[1]))
 
 
-def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
-    """What of the material of a receiving shape is not simulated, each as the name of an effect."""
-    flags = mi.BSDFFlags
-
-    def has(*wanted: Any) -> bool:
-        return any(mi.has_flag(bsdf.flags(), flag) for flag in wanted)
-
-    notes = []
-    if not view and has(flags.GlossyReflection):
-        notes.append(
-            f"glossy reflection of shape '{name}' (`view` simulates it; the diffuse part counts as Lambertian)"
-        )
-    if has(flags.DeltaReflection):
-        notes.append(f"mirror reflection of shape '{name}'")
-    if has(flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission):
-        notes.append(f"transmission through shape '{name}'")
-    if re.search("BumpMap|NormalMap", str(bsdf)):
-        notes.append(f"bump or normal map of shape '{name}'")
-    if has(flags.Null):
-        notes.append(f"transparency of shape '{name}' (it casts full shadows)")
-    return notes
-
-
 def surface_points(mi: Any, shape: Any, positions: NDArray, normals: NDArray, faces: NDArray) -> Any:
     """Surface interactions at the vertices of a Mitsuba mesh, with the directions left to set.
 
