@@ -14,7 +14,6 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import emitted_environment
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene import materials
-from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part, Scene, traced_scene
 from slepian_prt.scene.scene_effects import effects_left_out
@@ -53,7 +52,7 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
         left_out = effects_left_out(mi, shapes.outcomes, view=view is not None)
         listed = "; ".join(row.name for row in left_out) or "it has no shapes"
         raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
-    environment, other_lights = _lights(mi, loaded.emitters(), str(path))
+    environment = _distant_light(mi, loaded.emitters(), str(path))
     traced = (*(shape.shape for shape in shapes.receiving), *shapes.occluders)
     geometry = traced_scene(mi, traced, shapes.groups)
     two_sided = np.array([materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving])
@@ -89,7 +88,7 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
         view=scene_view,
         sensor=sensor if scene_view is None else None,
         environment=environment,
-        not_simulated=(*left_out, *map(LeftOut, other_lights)),
+        not_simulated=left_out,
         loaded=loaded,
         groups=tuple(shapes.groups),
         coarseness=shapes.coarseness,
@@ -157,20 +156,19 @@ def _wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: Path) -
     raise UserError(f"{path}: no camera {view!r}; name one by number or id: {known}")
 
 
-def _lights(mi: Any, emitters: Sequence[Any], origin: str) -> tuple[Environment | None, list[str]]:
-    """The scene's distant light, and what other light it has (shapes that emit are named with their shapes)."""
-    environment, others = None, []
+def _distant_light(mi: Any, emitters: Sequence[Any], origin: str) -> Environment | None:
+    """The scene's distant light; lamps are found in the scene as it was loaded."""
+    environment = None
     for emitter in emitters:
-        if emitter.is_environment():
-            try:
-                environment = emitted_environment(mi, emitter, origin)
-            except UserError as error:  # transport does not need it; `relight` then asks for a map
-                log.info("%s; its own light is left out, so name a map to relight with", error)
-                continue
-            if emitter.class_name() == "TimedSunskyEmitter":
-                log.info("%s: of its timed_sunsky the light at time 0 is taken", origin)
-            if environment.clamped:
-                log.info("%s: %d negative texels of its light set to zero", origin, environment.clamped)
-        elif not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
-            others.append(f"light of emitter '{emitter.id() or emitter.class_name()}'")
-    return environment, others
+        if not emitter.is_environment():
+            continue
+        try:
+            environment = emitted_environment(mi, emitter, origin)
+        except UserError as error:  # transport does not need it; `relight` then asks for a map
+            log.info("%s; its own light is left out, so name a map to relight with", error)
+            continue
+        if emitter.class_name() == "TimedSunskyEmitter":
+            log.info("%s: of its timed_sunsky the light at time 0 is taken", origin)
+        if environment.clamped:
+            log.info("%s: %d negative texels of its light set to zero", origin, environment.clamped)
+    return environment
