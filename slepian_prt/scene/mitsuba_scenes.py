@@ -52,6 +52,7 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
         left_out = effects_left_out(mi, shapes.outcomes, view=view is not None)
         listed = "; ".join(row.name for row in left_out) or "it has no shapes"
         raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
+    environment = _distant_light(mi, loaded.emitters(), str(path))
     traced = (*(shape.shape for shape in shapes.receiving), *shapes.occluders)
     geometry = traced_scene(mi, traced, shapes.groups)
     two_sided = np.array([materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving])
@@ -86,7 +87,7 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
         has_materials=True,
         view=scene_view,
         sensor=sensor if scene_view is None else None,
-        environment=_distant_light(mi, loaded.emitters(), str(path)),
+        environment=environment,
         not_simulated=left_out,
         loaded=loaded,
         groups=tuple(shapes.groups),
@@ -156,7 +157,7 @@ def _wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: Path) -
 
 
 def _distant_light(mi: Any, emitters: Sequence[Any], origin: str) -> Environment | None:
-    """That of the scene, if it can be used."""
+    """The scene's distant light; lamps are found in the scene as it was loaded."""
     environment = None
     for emitter in emitters:
         if not emitter.is_environment():

@@ -5,9 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from slepian_prt.scene import sorting
+from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.normals import face_areas, face_normals
 from slepian_prt.scene.subdivision import cut_long_edges, side_lengths
 from slepian_prt.scene.triangles import Triangles
+from slepian_prt.transport.survey import Survey
 from slepian_prt.transport.transfer import precompute
 from tests.numerics import assert_exact, assert_rounded
 
@@ -115,3 +118,22 @@ def test_light_on_a_floor_of_two_triangles(tmp_path):
     assert light[np.argmin(radius)] == pytest.approx(0.5, abs=0.02)
     assert light[radius > 1.9].min() > 0.95
     assert (radius < 0.5).sum() > 50
+
+
+def test_what_stays_coarse_is_told(tmp_path, monkeypatch):
+    (tmp_path / "floor.obj").write_text("v -2 -2 0\nv 2 -2 0\nv 2 2 0\nv -2 2 0\nf 1 2 3\nf 1 3 4\n")
+    block = (
+        '<shape type="cube"><transform name="to_world"><scale value="0.8"/></transform><bsdf type="diffuse"/></shape>'
+    )
+    (tmp_path / "scene.xml").write_text(
+        f"""<scene version="3.0.0"><shape type="obj"><string name="filename" value="floor.obj"/>
+        <bsdf type="diffuse"/></shape>{block}</scene>"""
+    )
+    for most, times in ((10**6, 0), (5, 1)):
+        monkeypatch.setattr(sorting, "_MOST_NEW_VERTICES", most)
+        with open_scene(tmp_path / "scene.xml") as scene:
+            plan = Survey.of(scene).plan(1, 16)
+        rows = [effect.reason for effect in plan.effects if effect.name == "light between vertices"]
+        # Halved once, the diagonal of 4√2 is half as long as the floor; 1/48 of the scene's diagonal is wanted.
+        expected = f"edges are up to {24 * math.sqrt(32.0 / (32.0 + 1.6**2)):.2g} times as long"
+        assert sum(expected in reason for reason in rows) == times

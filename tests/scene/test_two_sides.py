@@ -1,14 +1,17 @@
 """Both sides of surfaces that are seen from behind, and which these are."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.transport.interior import sees_backs
 from slepian_prt.transport.interreflection import gather_operator
+from slepian_prt.transport.survey import Survey
 from slepian_prt.transport.transfer import precompute
 from tests.numerics import assert_exact, assert_rounded
 from tests.transport.test_interreflection import spherical_bowl
@@ -156,3 +159,16 @@ def test_rays_gather_from_backs(tube):
         gather = gather_operator(scene, 128, vertices - wall.count, None, 0)
         assert gather.backs == 0.0
         assert gather.weights.sum() == 0.0
+
+
+def test_backs_that_are_not_held_are_told_of():
+    """Of a mesh file fronts alone are lit: a floor sees the back of the ceiling, whose front is up too."""
+    square = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    mesh = make_mesh(np.concatenate([square, square + [0.0, 0.0, 1.0]]), faces, albedo=0.5)
+    told = []
+    for known in (True, False):
+        with open_scene(replace(mesh, known_albedo=known)) as scene:
+            plan = Survey.of(scene).plan(1, 64, effects="all")
+        told.append([effect.name for effect in plan.effects if "backs" in effect.name])
+    assert told == [["light reflected by the backs of surfaces"], []]
