@@ -133,7 +133,7 @@ def _open_mesh(
 ) -> Iterator[Scene]:
     """A mesh file, or a mesh in memory."""
     if view is not None:
-        raise UserError("a view is that of a camera in a Mitsuba scene; this scene has none")
+        raise UserError("a view is that of a camera in a Mitsuba .xml scene; this scene has none")
     if not isinstance(source, Mesh):
         mesh = read_mesh(source, crease_angle=180.0 if crease_angle is None else crease_angle)
     elif crease_angle is not None:

@@ -126,7 +126,10 @@ def _load(mi: Any, source: _Source, *, needs_camera: bool) -> tuple[Any, NDArray
                 loaded = _made(mi, state, source.origin)
             except UserError:
                 raise error from None
-            log.info("%s; it is loaded without its cameras", str(error).removesuffix("; correct it there"))
+            told = (
+                str(error).removesuffix("; correct it there").replace("load the scene", "load a camera of the scene", 1)
+            )
+            log.info("%s; it is loaded without cameras", told)
         center = far_center(loaded) if source.movable else None
         if center is None:
             return loaded, np.zeros(3)

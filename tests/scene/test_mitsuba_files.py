@@ -160,7 +160,8 @@ def test_cameras_need_not_be_loadable_unless_one_is_asked_for(camera, scene, cap
     (remark,) = caplog.messages
     assert "line 3: " in remark
     assert "none-such" in remark
-    assert remark.endswith("it is loaded without its cameras")
+    assert "cannot load a camera of the scene (" in remark
+    assert remark.endswith("); it is loaded without cameras")
     with pytest.raises(UserError, match="none-such"):
         open_scene(path, view=0).__enter__()
 
