@@ -70,6 +70,23 @@ def read(path: str | Path) -> File:
     return File(manifest, arrays, index, found)
 
 
+# --- Lamps -----------------------------------------------------------------------------------------------------------
+
+
+def light_of_lamps(file: File, table: str) -> np.ndarray:
+    """(lamps, V, 3) radiance of unit albedo, ``table`` being direct or bounced."""
+    low, high = file.arrays[f"fixed/{table}"].astype(np.uint16)
+    rows = iter((low + 256 * high).astype("<u2").view("<f2").astype(np.float64))
+    result = np.zeros((len(file.manifest["fixed"]), len(file.index), 3))
+    for lamp, entry, scales in zip(result, file.manifest["fixed"], file.arrays[f"fixed/{table}_scale"], strict=True):
+        if entry[f"{table}_rows"] == 1:
+            lamp[:] = np.outer(next(rows), scales)
+        for channel in range(3 if entry[f"{table}_rows"] == 3 else 0):
+            lamp[:, channel] = next(rows) * scales[channel]
+    assert next(rows, None) is None
+    return result
+
+
 # --- Which vertex belongs to which cap -------------------------------------------------------------------------------
 
 

@@ -63,6 +63,7 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "bounces": packed.bounces,
         "camera": None if packed.view is None else packed.view.name,
         "toward_camera": packed.toward_view,
+        "lamps": None if packed.fixed is None else list(packed.fixed.names),
         "clusters": len(packed.bases),
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
@@ -90,6 +91,7 @@ def _in_words(packed: CompressedTransfer) -> dict[str, str | None]:
         for which, count in counts.items()
     )
     return {
+        "lamps": None if packed.fixed is None else ", ".join(packed.fixed.names),
         "seconds": ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items()),
         "verified_error": ", ".join(f"{name} {error:.4g}" for name, error in packed.verified.items()) or None,
         "verified_left_out": ", ".join(left_out) or None,

@@ -15,7 +15,7 @@ from slepian_prt.transport.direct import unoccluded_transfer
 from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy, random_directions, sphere
-from tests.relighting.mitsuba.test_integrator import grid_directions
+from tests.lighting.test_environment import grid_directions
 
 L = 8
 

@@ -13,6 +13,7 @@ from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.lamp_light import LampTracer
 from slepian_prt.transport.lamps import Lamps, find_lamps
+from tests.numerics import assert_exact
 
 FLOOR = """<shape type="obj" id="floor"><string name="filename" value="floor.obj"/><bsdf type="diffuse"/></shape>"""
 EPSILON = float(np.finfo(np.float32).eps)
@@ -63,13 +64,20 @@ def polygon_form_factor(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.abs(total) / (2.0 * math.pi)
 
 
+def point(name: str, place: tuple[float, float, float], intensity: object) -> str:
+    """A lamp that is a point."""
+    x, y, z = place
+    return f"""<emitter type="point" id="{name}"><point name="position" x="{x}" y="{y}" z="{z}"/>
+    <rgb name="intensity" value="{intensity}"/></emitter>"""
+
+
 def relative_rms(actual: np.ndarray, expected: np.ndarray) -> float:
     return float(np.linalg.norm(actual - expected) / np.linalg.norm(expected))
 
 
 def test_point(tmp_path):
     """I cos θ / (π r²), but for the height that rays start at."""
-    lamp = '<emitter type="point" id="p"><point name="position" x=".3" y="-.2" z=".8"/><rgb name="intensity" value="1, 2, 4"/></emitter>'
+    lamp = point("p", (0.3, -0.2, 0.8), "1, 2, 4")
     with opened(tmp_path, lamp) as (scene, lamps):
         assert (lamps.names, lamps.kinds) == (("p",), ("point",))
         x, light, _, height = light_on_floor(scene, lamps)
@@ -80,7 +88,8 @@ def test_point(tmp_path):
 
 
 def test_directional(tmp_path):
-    lamp = '<emitter type="directional" id="sun"><vector name="direction" x="1" y="2" z="-2"/><rgb name="irradiance" value="3"/></emitter>'
+    lamp = """<emitter type="directional" id="sun"><vector name="direction" x="1" y="2" z="-2"/>
+    <rgb name="irradiance" value="3"/></emitter>"""
     with opened(tmp_path, lamp) as (scene, lamps):
         _, light, _, _ = light_on_floor(scene, lamps)
     np.testing.assert_allclose(light[0], 3.0 * (2.0 / 3.0) / math.pi, rtol=10.0 * EPSILON)
@@ -147,7 +156,8 @@ def block_light(x: np.ndarray) -> np.ndarray:
 AREA = '<emitter type="area"><rgb name="radiance" value="1"/></emitter>'
 SURFACES: dict[str, tuple[str, Any]] = {
     "sphere": (
-        f'<shape type="sphere" id="lamp"><point name="center" x=".2" y=".1" z=".9"/><float name="radius" value=".5"/>{AREA}</shape>',
+        f"""<shape type="sphere" id="lamp"><point name="center" x=".2" y=".1" z=".9"/>
+        <float name="radius" value=".5"/>{AREA}</shape>""",
         sphere_light,
     ),
     "disk": (
@@ -192,8 +202,8 @@ def test_surfaces(kind, tmp_path):
 
 def test_a_sphere_that_shines_inward_is_a_sky(tmp_path):
     """What is in it receives its radiance from all sides; no chord of its faces stands before it."""
-    shape = f"""<shape type="sphere" id="dome"><float name="radius" value="3"/><boolean name="flip_normals" value="true"/>
-    {AREA}</shape>"""
+    shape = f"""<shape type="sphere" id="dome"><float name="radius" value="3"/>
+    <boolean name="flip_normals" value="true"/>{AREA}</shape>"""
     with opened(tmp_path, shape) as (scene, lamps):
         _, light, noise, _ = light_on_floor(scene, lamps)
     np.testing.assert_allclose(light[0].mean(), 1.0, rtol=4.0 * noise / math.sqrt(light.shape[1]))
@@ -202,10 +212,9 @@ def test_a_sphere_that_shines_inward_is_a_sky(tmp_path):
 
 def test_shadows_are_sharp(tmp_path):
     """A square under a point halfway above the floor casts one twice as large."""
-    more = """<emitter type="point" id="p"><point name="position" x="0" y="0" z="1"/><rgb name="intensity" value="1"/></emitter>
-    <shape type="rectangle" id="lid"><transform name="to_world"><scale value=".2"/><translate z=".5"/></transform>
-    <bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>"""
-    with opened(tmp_path, more) as (scene, lamps):
+    lid = """<shape type="rectangle" id="lid"><transform name="to_world"><scale value=".2"/><translate z=".5"/>
+    </transform><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>"""
+    with opened(tmp_path, point("p", (0.0, 0.0, 1.0), 1.0) + lid) as (scene, lamps):
         x, light, _, _ = light_on_floor(scene, lamps)
         vertices = np.arange(len(x))
         open_light = LampTracer(scene, lamps.groups, 16, 0).trace(vertices, shadows=False).radiance
@@ -217,8 +226,6 @@ def test_shadows_are_sharp(tmp_path):
 
 
 def test_the_same_seed_gives_the_same_bits(tmp_path):
-    from tests.numerics import assert_exact
-
     with opened(tmp_path, SURFACES["disk"][0]) as (scene, lamps):
         vertices = np.flatnonzero(scene.receivers.active)
         runs = [LampTracer(scene, lamps.groups, 64, 3).trace(vertices, shadows=True).radiance for _ in range(2)]
@@ -231,15 +238,13 @@ def test_many_lamps_are_joined(tmp_path):
     """The brightest fifteen by their own; the others as one, with all their light."""
     rng = np.random.default_rng(1)
     places, powers = rng.uniform([-1, -1, 0.8], [1, 1, 1.2], size=(24, 3)), np.geomspace(1.0, 0.02, 24)
-    lamps_text = "".join(
-        f'<emitter type="point" id="p{i}"><point name="position" x="{x}" y="{y}" z="{z}"/><rgb name="intensity" value="{power}"/></emitter>'
-        for i, ((x, y, z), power) in enumerate(zip(places, powers, strict=True))
-    )
+    lamps_text = "".join(point(f"p{i}", tuple(places[i]), powers[i]) for i in range(24))
     with opened(tmp_path, lamps_text) as (scene, lamps):
         assert len(lamps.names) == 16
         assert lamps.names[-1] == "9 other lights"
         assert lamps.kinds == ("point",) * 16
         x, light, _, _ = light_on_floor(scene, lamps, 4096)
+    np.testing.assert_allclose(lamps.reached, light.mean(axis=(1, 2)), rtol=0.3)  # of a pilot
     kept = [int(name[1:]) for name in lamps.names[:-1]]
     assert set(range(8)) <= set(kept)
     way = places[:, None] - x

@@ -78,6 +78,25 @@ def test_the_light_of_a_scene(light, tmp_path):
     assert_exact(mine, theirs, "the same sums of the same numbers on one machine")
 
 
+def test_the_lamps_of_a_scene(tmp_path):
+    lamps = """<emitter type="point" id="bulb"><point name="position" x="0" y="0" z="2"/></emitter>
+    <emitter type="directional" id="sun"><vector name="direction" x="0" y="0" z="-1"/></emitter>"""
+    kept = traced(tmp_path, lamps)
+    kept.save(tmp_path / "kept.npz")
+    read = sp.load_transfer(tmp_path / "kept.npz")
+    assert_same(replace(read, fixed=None), replace(kept, fixed=None))
+    assert read.fixed is not None
+    assert kept.fixed is not None
+    assert (read.fixed.names, read.fixed.kinds) == (("bulb", "sun"), ("point", "directional"))
+    for name in ("emitted", "direct", "bounced", "directions"):
+        assert_exact(getattr(read.fixed, name), getattr(kept.fixed, name), "copied")
+    with np.load(tmp_path / "kept.npz") as file:
+        arrays = dict(file)
+    np.savez(tmp_path / "less.npz", **{**arrays, "fixed_direct": arrays["fixed_direct"][:1]})
+    with pytest.raises(sp.UserError, match="light of 2 lamps"):
+        sp.load_transfer(tmp_path / "less.npz")
+
+
 def test_it_compresses_to_the_same_file(tmp_path):
     kept = sp.precompute(bumpy(2), 4, 64)
     kept.save(tmp_path / "kept.npz")

@@ -69,9 +69,9 @@ def lamp_names(emitter: Any) -> tuple[str, ...]:
 def emitted(mi: Any, emitter: Any) -> NDArray[np.float64] | None:
     """(3,) mean radiance, intensity or irradiance that a lamp is set to, linear sRGB; None if that cannot be told."""
     parameters = mi.traverse(emitter)
-    for name in parameters:
+    for name, value in parameters.items():
         if re.match(r"(radiance|intensity|irradiance)\b.*(value|data)$", name):
-            values = np.array(parameters[name], dtype=np.float64)
+            values = np.array(value, dtype=np.float64)
             values = values.reshape(-1, values.shape[-1] if values.ndim == 3 else max(values.size, 1))
             scale = np.ravel(np.array(parameters["scale"]))[0] if "scale" in parameters else 1.0
             mean = values.mean(axis=0) * scale

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.mitsuba.bounced_light import BouncedLight
 from slepian_prt.relighting.mitsuba.held_files import HeldFile
+from slepian_prt.relighting.mitsuba.lobes import PLAIN, material_kind
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
@@ -145,24 +146,36 @@ class BoundTransfer:
         """Shapes of the scene that is bound that are surely held wherever they are met, and on how many sides."""
         return [(shape, part.sides) for shape, part in self._matched.meshes]
 
-    def warnings(self, scene: Any) -> list[str]:
-        """What of the scene that is bound is drawn otherwise than it says."""
+    def warnings(self, scene: Any, albedo: str) -> list[str]:
+        """What of the scene that is bound is drawn otherwise than it says.
+
+        Parameters
+        ----------
+        scene : Mitsuba scene
+        albedo : str
+            Of the integrator.
+        """
         texts = []
         if self._bounced.unknown:
+            names = ", ".join(self._bounced.unknown)
             texts.append(
-                f"{self.name} does not know the light of {', '.join(self._bounced.unknown)}: it is drawn, but not what "
-                "surfaces send each other of it"
+                f"{self.name} does not know the light of {names}: it falls on its shapes, but what they send each "
+                "other of it is missing"
             )
         if not any(True for _ in scene.emitters()):
             texts.append(f"without light the shapes of {self.name} are black")
-        return texts + self._albedo_warnings()
+        return texts + self._albedo_warnings(albedo)
 
-    def _albedo_warnings(self) -> list[str]:
+    def _albedo_warnings(self, albedo: str) -> list[str]:
         """Of a file that says nothing of materials, and a scene that does."""
-        if not self._mi.is_rgb or self.packed.toward_view or not np.all(self.packed.mesh.albedo == 1.0):
+        if not self._mi.is_rgb or albedo == "scene" or not np.all(self.packed.mesh.albedo == 1.0):
+            return []
+        if self.packed.toward_view:  # its materials are in it
             return []
         texts = []
         for shape, part in self._matched.meshes:
+            if albedo == "auto" and material_kind(self._mi, shape.bsdf()) != PLAIN:
+                continue  # as the scene has it
             reflectance = self._mean_reflectance(self._matched, shape, part_vertices(part))
             if reflectance is not None and reflectance < _ALL_REFLECTED:
                 texts.append(

@@ -96,36 +96,41 @@ def _plugin_class(mi: Any) -> Any:
 
 
 class SlepianIntegrator:
-    """Shapes of transfer files, lit by the scene's own distant light.
+    """Final gathering, with transfer files as the cache of diffusely reflected light.
 
-    Where a camera ray meets the front of a shape that a ``.prt`` file holds, its radiance is that of the relit
-    vertices around, interpolated; everywhere else it is what Mitsuba's ``direct`` draws.
+    Paths are followed as by Mitsuba's ``path``: emitters and materials are sampled, mirrors and glass passed, until a
+    surface is met that a ``.prt`` file holds. There the diffuse lobe ends: what it reflects is what the file says of
+    the distant light, with all bounces, and of the bounces of lamps, times the albedo at that very point; lamps
+    themselves are sampled. Other lobes of that material go on. For what files hold this is without bias.
 
     ====================  =======  ===================================================================================
     Parameter             Type     Meaning
     ====================  =======  ===================================================================================
     ``transfer``          string   Path of a ``.prt`` file, relative to the scene. Further ones are ``transfer_`` and
                                    anything.
-    ``albedo``            string   ``file`` (default): what the file says that vertices reflect, which ``mi.traverse``
-                                   shows as ``albedo`` (of ``transfer_x`` as ``albedo_x``). ``scene``: what the
-                                   materials of the scene reflect diffusely.
+    ``albedo``            string   ``auto`` (default): what the scene's material reflects diffusely at each point
+                                   where it has a texture or more than one lobe, else what the file says that vertices
+                                   reflect. ``file``: always that, which ``mi.traverse`` shows as ``albedo`` (of
+                                   ``transfer_x`` as ``albedo_x``). ``scene``: always the scene's.
+    ``fixed_lights``      float    Factor of what lamps send to diffuse lobes of held surfaces; 0 turns it off. By
+                                   default 1.
     ``window``            string   ``hann`` or ``lanczos``: damps ringing under small bright lights. By default none.
     ``window_width``      float    The degree that the window falls to zero at.
     ``hide_emitters``     boolean  Whether the environment and shapes that emit are left out of the picture. By
                                    default not.
-    ``shading_samples``   integer  Of ``direct``, which draws everything else.
-    ``emitter_samples``   integer  Of ``direct``.
-    ``bsdf_samples``      integer  Of ``direct``.
+    ``max_depth``         integer  Longest path that is followed, as of ``path``; what files hold counts as one step.
+                                   By default -1: no limit.
+    ``rr_depth``          integer  Steps after which paths end by Russian roulette. By default 5.
     ====================  =======  ===================================================================================
 
     It works in all ``llvm_*`` and ``cuda_*`` variants: RGB, monochromatic and spectral, polarized too (its light is
-    unpolarized). Light may come from ``envmap``, ``constant``, ``sunsky`` and other environment emitters, and may
-    change between pictures; models may be moved, turned and evenly scaled since they were precomputed. Gradients, in
-    both modes, go to the texels and scale of an ``envmap``, to ``albedo``, and to diffuse reflectance if ``albedo`` is
-    ``scene``.
+    unpolarized). Light may come from ``envmap``, ``constant``, ``sunsky`` and other environment emitters, and from
+    lamps, and may change between pictures; models may be moved, turned and evenly scaled since they were precomputed.
+    Gradients, in both modes, go to what camera rays meet first: to the texels and scale of an ``envmap``, to
+    ``albedo``, and to diffuse reflectance that is taken from the scene; not to what is gathered, and not to geometry.
 
-    It does not work in ``scalar_*`` variants. Gradients do not go to geometry. Light of lamps does not reach shapes of
-    files, and their backs, gloss and transparency are drawn as the file has them: not at all. Mitsuba's log says so.
+    It does not work in ``scalar_*`` variants. Light that mirrors, glass and metals send onto held surfaces, which the
+    file does not know, is missing, and so are participating media. Mitsuba's log says what of a scene that concerns.
 
     .. code-block:: python
 
@@ -197,11 +202,11 @@ class SlepianIntegrator:
         hit, si = self._first_hit(scene, ray, active)  # What camera rays meet, detached
         L = mi.UnpolarizedSpectrum(0.0)
         covered = active & si.is_valid()
-        if not self._hide_emitters:
+        if not self._hide_emitters and self._max_depth != 0:
             L += mi.unpolarized_spectrum(si.emitter(scene).eval(si, active))
             covered = active & (scene.environment() is not None or si.is_valid())
 
-        met = active & si.is_valid()
+        met = active & si.is_valid() & (not 0 <= self._max_depth <= 1)
         cached = self._cache.at(ray, hit, si, met)
         material = self._lobes.at(si, cached, met)
         L += material.held_radiance(sampler)
@@ -249,7 +254,11 @@ class SlepianIntegrator:
                 mi, scene, self._cache, self._lobes, lamps, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
-        for text in [text for transfer in bound for text in transfer.warnings(scene)]:
+        texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]
+        media = [f"'{shape.id()}'" for shape in scene.shapes() if shape.is_medium_transition()]
+        if media:
+            texts.append(f"participating media are not drawn: those of shapes {', '.join(media)}")
+        for text in texts:
             if text not in self._warnings:  # shapes that move are matched again for every picture
                 self._warnings.add(text)
                 log_warning(mi, text)
