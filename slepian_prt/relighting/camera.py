@@ -259,7 +259,9 @@ def _trace_barycentric(
     hit = scene.geometry.ray_intersect_preliminary(ray)
     # A ray that slips through an edge of a closed mesh meets its back too: without this test, bright speckles.
     si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit.is_valid())
-    facing = np.array(hit.is_valid() & (dr.dot(si.n, ray.d) < 0.0))
+    toward = hit.is_valid() & (dr.dot(si.n, ray.d) < 0.0)
+    dr.eval(hit, toward)  # once: each array that is taken of them would trace the rays again
+    facing = np.array(toward)
     seen = np.zeros(facing.size, dtype=bool)
     shape = (seen.size, len(scene.mesh.positions))
     barycentric = csr_array(shape, dtype=np.float32)

@@ -6,9 +6,10 @@ a surface is met that it does hold; textures are looked up at the point seen.
 
 from __future__ import annotations
 
+import gc
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -21,8 +22,8 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import OTHERS
+from slepian_prt.lighting.lamps import lamps_of
 from slepian_prt.relighting.camera import aim_camera, middle_directions
-from slepian_prt.relighting.mitsuba.bounced_light import lamp_names
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from slepian_prt.relighting.pictures import Picture
 from slepian_prt.scene.ids import load_keeping_ids
@@ -93,6 +94,9 @@ class SceneCamera:
     def picture(self, light: Light) -> Picture:
         """The scene under a light, against an empty background."""
         mi = self.mi
+        # Scenes of earlier pictures refer to themselves. While they live, their materials and emitters are compiled
+        # into every kernel, which then takes longer, and which Dr.Jit has been seen to abort at.
+        gc.collect()
         with _quiet(mi):
             integrator = scene_integrator(mi, self.packed, lighting=light.lighting)
             scene = _relit_scene(mi, self.loaded, light)
@@ -149,31 +153,30 @@ def scale_lamps(mi: Any, loaded: Any, scales: float | Mapping[str, float]) -> No
     UserError
         One of another brightness is wanted whose radiance is an image of bytes.
     """
-    for emitter in loaded.emitters():
-        if emitter.is_environment():
-            continue
-        names = lamp_names(emitter)
-        scale = _scale_of(names, scales)
+    emitters = loaded.emitters()
+    for lamp in lamps_of(mi, loaded, "the scene"):
+        scale = _scale_of(lamp.name, scales)
         if scale == 1.0:
             continue
+        emitter = emitters[lamp.place]
         parameters = mi.traverse(emitter)
         found = [name for name, _ in parameters if re.match(_BRIGHTNESS, name)]
         own = [name for name, _ in parameters if name == "scale"] or found
         if not own or any("u8" in type(parameters[name]).__name__.lower() for name in own):
             raise UserError(
-                f"the brightness of lamp '{names[0]}' cannot be changed in pictures; leave out `fixed_lights`"
+                f"the brightness of lamp '{lamp.name}' cannot be changed in pictures; leave out `fixed_lights`"
             )
         for name in own:
             parameters[name] = parameters[name] * scale
         parameters.update()
 
 
-def _scale_of(names: Sequence[str], scales: float | Mapping[str, float]) -> float:
+def _scale_of(name: str, scales: float | Mapping[str, float]) -> float:
     """Of one lamp; those that a file holds as one have that one's."""
     if not isinstance(scales, Mapping):
         return float(scales)
-    joined = next((scale for name, scale in scales.items() if name.endswith(" other lights")), 1.0)
-    return next((scales[name] for name in names if name in scales), scales.get(OTHERS, joined))
+    joined = next((scale for known, scale in scales.items() if known.endswith(" other lights")), 1.0)
+    return scales.get(name, scales.get(OTHERS, joined))
 
 
 @contextmanager

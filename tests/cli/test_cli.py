@@ -67,7 +67,7 @@ def test_info(folder, capsys):
     assert "predicted_error" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("suffix", ["npz", "ply", "png", "exr"])
+@pytest.mark.parametrize("suffix", ["npz", "ply", "glb", "png", "exr"])
 def test_relight(suffix, folder, capsys):
     out = folder / f"lit.{suffix}"
     assert run(["relight", folder / "ball.prt", "--environment", folder / "map.exr", "-o", out, "--width", "64"]) == 0

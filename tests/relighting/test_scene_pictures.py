@@ -15,7 +15,7 @@ from slepian_prt.relighting.camera import relit_camera
 from slepian_prt.relighting.drawings import Lit, Taking, locate_source, open_drawing
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.render import render_picture
-from slepian_prt.relighting.scene_pictures import environment_of
+from slepian_prt.relighting.scene_pictures import environment_of, scale_lamps
 from slepian_prt.relighting.shots import SceneDrawing, VertexDrawing
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.view import Aim
@@ -198,3 +198,42 @@ def test_the_public_names_take_a_scene(ball, white, tmp_path):
     room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
     sp.save_picture(tmp_path / "out.png", ball, white, width=16, scene=room, samples=2)
     assert (tmp_path / "out.png").stat().st_size > 0
+
+
+POINT = (
+    '<emitter type="point"{}><point name="position" x="{}" y="0" z="-1"/><rgb name="intensity" value="2"/></emitter>'
+)
+
+
+@pytest.mark.parametrize(
+    ("scales", "expected"),
+    [
+        (0.5, [1.0, 1.0]),
+        ({"key": 0.0}, [0.0, 2.0]),
+        ({"key": 3.0, "*": 0.25}, [6.0, 0.5]),
+        ({"2 other lights": 2.0}, [4.0, 4.0]),
+    ],
+)
+def test_lamps_of_the_scene_are_dimmed_by_name(tmp_path, scales, expected):
+    path = write_scene(tmp_path / "lit.xml", BALL, POINT.format(' id="key"', 0), POINT.format("", 1))
+    with mitsuba() as mi:
+        loaded = mi.load_file(str(path), optimize=False)
+        scale_lamps(mi, loaded, scales)
+        found = [float(np.ravel(mi.traverse(lamp)["intensity.value"])[0]) for lamp in loaded.emitters()]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_lamps_cast_sharp_shadows_and_can_be_turned_off(tmp_path):
+    """A point above a square: I cos / r^2 / pi of the light in the picture, and nothing without it."""
+    square = (
+        '<shape type="rectangle" id="floor"><bsdf type="diffuse"><rgb name="reflectance" value="1"/></bsdf></shape>'
+    )
+    lamp = POINT.format(' id="key"', 0).replace('z="-1"', 'z="2"')
+    packed = packed_scene(write_scene(tmp_path / "lit.xml", square, lamp))
+    asked = {"width": 17, "look_at": ((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), "fov": 2.0, "scene_linear": True, "samples": 8}
+    lit = render_picture(packed, **asked, scene=tmp_path / "lit.xml")
+    dark = render_picture(packed, **asked, scene=tmp_path / "lit.xml", fixed_lights={"key": 0.0})
+    middle = lit.shape[0] // 2
+    # Within 1/17 of two degrees of the middle the cosine and the distance are those of it.
+    np.testing.assert_allclose(lit[middle, 8, :3], 2.0 / 4.0 / np.pi, rtol=1e-3)
+    assert_exact(dark[..., :3], np.zeros_like(dark[..., :3]), "no light at all")
