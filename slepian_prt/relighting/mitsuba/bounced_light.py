@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.lighting.lamps import emitted_light, lamp_kind
+
+# Lamps without a name are the same if they are of one kind and this near in brightness.
+_SAME = 1e-3
 
 
 class BouncedLight:
@@ -32,19 +35,22 @@ class BouncedLight:
 
     def __init__(self, mi: Any, fixed: FixedLights | None, scene: Any, factor: float) -> None:
         self._mi, self._factor = mi, factor
-        names = fixed.names if fixed is not None else ()
-        unknown, self._lamps = [], []
-        for emitter in scene.emitters():
-            if emitter.is_environment():
-                continue
-            own = lamp_names(emitter)
-            number = next((i for i, name in enumerate(names) if name in own), None)
-            if number is None or fixed is None:
-                unknown.append(own[0])
-            elif fixed.bounced[number].any():
+        lamps = [emitter for emitter in scene.emitters() if not emitter.is_environment()]
+        self._lamps: list[tuple[Any, NDArray[np.float64], Any]] = []
+        self.unknown = tuple(_names(lamp)[0] for lamp in lamps)
+        if fixed is None:
+            return
+        found = _same_lamps(mi, fixed, lamps)
+        self.unknown = tuple(_names(lamp)[0] for i, lamp in enumerate(lamps) if i not in found.values())
+        for number, name in enumerate(fixed.names):
+            # Many lamps are one in the file, which cannot follow them.
+            joined = bool(self.unknown) and number not in found and name.endswith("other lights")
+            if joined:
+                self.unknown = ()
+            if (number in found or joined) and fixed.bounced[number].any():
                 bounced = np.ascontiguousarray(fixed.bounced[number], dtype=np.float32)
-                self._lamps.append((emitter, fixed.emitted[number], mi.Float(bounced.ravel())))
-        self.unknown = tuple(unknown)
+                lamp = None if joined else lamps[found[number]]
+                self._lamps.append((lamp, fixed.emitted[number], mi.Float(bounced.ravel())))
 
     def now(self) -> Any:
         """(3 V,) flat Float of radiance for unit albedo; None where there is none."""
@@ -52,35 +58,40 @@ class BouncedLight:
 
         mi, total = self._mi, None
         for lamp, then, bounced in self._lamps:
-            factor = self._factor * brightened(then, emitted(mi, lamp))
+            factor = np.full(3, self._factor) if lamp is None else self._factor * brightened(mi, lamp, then)
             vertex = dr.arange(mi.UInt32, dr.width(bounced))
             some = bounced * dr.gather(mi.Float, mi.Float(factor.astype(np.float32)), vertex % 3)
             total = some if total is None else total + some
         return total
 
 
-def lamp_names(emitter: Any) -> tuple[str, ...]:
+def brightened(mi: Any, lamp: Any, then: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) how many times brighter a lamp is than it was; 1 where a spectrum does not tell."""
+    now = np.full(3, np.nan) if mi.is_spectral else emitted_light(mi, lamp)
+    known = np.isfinite(now) & (np.asarray(then) > 0.0)
+    return np.divide(now, then, out=np.ones(3), where=known)
+
+
+def _same_lamps(mi: Any, fixed: FixedLights, lamps: list[Any]) -> dict[int, int]:
+    """Places of lamps of a scene by numbers of those of a file: by name, else by kind and brightness."""
+    found: dict[int, int] = {}
+    for i, lamp in enumerate(lamps):
+        number = next((n for n, name in enumerate(fixed.names) if name in _names(lamp) and n not in found), None)
+        if number is not None:
+            found[number] = i
+    for i, lamp in enumerate(lamps):
+        if i in found.values() or mi.is_spectral:
+            continue
+        now = emitted_light(mi, lamp)
+        for number, (kind, then) in enumerate(zip(fixed.kinds, fixed.emitted, strict=True)):
+            if number not in found and kind == lamp_kind(lamp) and np.allclose(now, then, rtol=_SAME):
+                found[number] = i
+                break
+    return found
+
+
+def _names(emitter: Any) -> tuple[str, ...]:
     """By which files may know a lamp: the id of the shape that emits, its own, and what it is."""
     shape = emitter.get_shape()
-    names = (shape.id() if shape is not None else "", emitter.id(), emitter.class_name())
+    names = (shape.id() if shape is not None else "", emitter.id(), lamp_kind(emitter))
     return tuple(str(name) for name in names if name)
-
-
-def emitted(mi: Any, emitter: Any) -> NDArray[np.float64] | None:
-    """(3,) mean radiance, intensity or irradiance that a lamp is set to, linear sRGB; None if that cannot be told."""
-    parameters = mi.traverse(emitter)
-    for name, value in parameters.items():
-        if re.match(r"(radiance|intensity|irradiance)\b.*(value|data)$", name):
-            values = np.array(value, dtype=np.float64)
-            values = values.reshape(-1, values.shape[-1] if values.ndim == 3 else max(values.size, 1))
-            scale = np.ravel(np.array(parameters["scale"]))[0] if "scale" in parameters else 1.0
-            mean = values.mean(axis=0) * scale
-            return np.broadcast_to(mean[:3], 3).copy() if mean.size in (1, 3, 4) else None
-    return None
-
-
-def brightened(then: NDArray[np.float64], now: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """(3,) how many times brighter a lamp is than it was; 1 where that cannot be told."""
-    if now is None:
-        return np.ones(3)
-    return np.divide(now, then, out=np.ones(3), where=np.asarray(then) > 0.0)
