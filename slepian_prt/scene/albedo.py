@@ -10,13 +10,13 @@ import logging
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.barycentric import points_on
 from slepian_prt.scene.formats.parts import Material, MeshPart, Texture
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.normals import face_areas
@@ -24,10 +24,9 @@ from slepian_prt.scene.textures import FilteredTexture, image_size
 
 log = logging.getLogger(__name__)
 
-# Along each side of a face, points that a texture is looked at: more where there are few faces, so many lookups in all.
-# Each takes the mean over a quarter of what belongs to it: whole patches reach over the borders of what an atlas
-# holds, which is a few per cent of the albedo.
-_FEWEST_POINTS, _MOST_POINTS, _LOOKUPS = 4, 32, 1e6
+# A texture is looked at so often in all, more for very many faces. Each lookup takes the mean over a quarter of what
+# belongs to it: whole patches reach over the borders of what an atlas holds, which is a few per cent of the albedo.
+_LOOKUPS = 1e6
 _PATCH = 0.25
 
 # Textures are kept as fine as this part of the faces needs; finer ones take the mean of a little more than their own.
@@ -57,23 +56,8 @@ class _Use(NamedTuple):
     def areas(self) -> NDArray[np.float64]:
         """(F,) parts of the image that are averaged about each point of a face that it is looked at."""
         a, b = self.uv[:, 1] - self.uv[:, 0], self.uv[:, 2] - self.uv[:, 0]
-        share = _PATCH / len(_points_on(len(self.uv)))
+        share = _PATCH / len(points_on(len(self.uv), _LOOKUPS))
         return np.asarray(0.5 * share * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
-
-
-@lru_cache(maxsize=32)
-def _barycentric_grid(n: int) -> NDArray[np.float64]:
-    """(n², 3) centres of the n² equal triangles that a triangle is cut into."""
-    up = [(3 * i + 1, 3 * j + 1) for i in range(n) for j in range(n - i)]
-    down = [(3 * i + 2, 3 * j + 2) for i in range(n) for j in range(n - i - 1)]
-    first = np.array(up + down) / (3.0 * n)
-    return np.column_stack([1.0 - first.sum(axis=1), first])
-
-
-def _points_on(faces: int) -> NDArray[np.float64]:
-    """(n², 3) where each of so many faces is looked at, in barycentric coordinates."""
-    n = math.sqrt(_LOOKUPS / max(faces, 1))
-    return _barycentric_grid(int(min(max(n, _FEWEST_POINTS), _MOST_POINTS)))
 
 
 def decode_textures(parts: Sequence[MeshPart]) -> Textures:
@@ -134,7 +118,7 @@ def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float3
         albedo, metallic = np.broadcast_to(np.array(material.color) * (1.0 - factor), (count, 3)), factor
     else:
         total, weights, metallic = np.zeros((count, 3)), np.zeros(count), 0.0
-        points = _points_on(len(part.faces))
+        points = points_on(len(part.faces), _LOOKUPS)
         for barycentric in points:
             value = np.broadcast_to(material.color, (len(part.faces), 3))
             share = np.full(len(part.faces), factor)
