@@ -66,7 +66,7 @@ def lamps_of(mi: Any, loaded: Any, origin: str) -> list[Lamp]:
     Raises
     ------
     UserError
-        A lamp whose light is negative, not finite or too bright.
+        A lamp whose light is negative, not finite or too bright, or that Mitsuba cannot sample.
     """
     emitters = loaded.emitters()
     emitting = {
@@ -80,11 +80,23 @@ def lamps_of(mi: Any, loaded: Any, origin: str) -> list[Lamp]:
             continue
         kind = lamp_kind(emitter)
         name = _unused(emitting.get(_number(mi, emitter)) or emitter.id() or kind, [lamp.name for lamp in found])
-        emitted = check_radiance(emitted_light(mi, emitter), f"{origin}: lamp '{name}'")
+        emitted = check_radiance(_sampled(mi, emitter, f"{origin}: lamp '{name}'"), f"{origin}: lamp '{name}'")
         if emitted.min() < 0.0:
             raise UserError(f"{origin}: lamp '{name}': its light is negative ({emitted.min():.3g}); repair the light")
         found.append(Lamp(index, name, kind, emitted, _direction(emitter, kind)))
     return found
+
+
+def _sampled(mi: Any, emitter: Any, named: str) -> NDArray[np.float64]:
+    """What an emitter is set to, after a sample of it, which some textures on some shapes of Mitsuba's cannot give."""
+    import drjit as dr
+
+    try:
+        emitter.sample_direction(dr.zeros(mi.SurfaceInteraction3f), mi.Point2f(0.5))
+        return emitted_light(mi, emitter)
+    except Exception as error:  # whatever a plugin raises
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"{named} cannot be sampled ({reason}); correct it or remove it") from None
 
 
 def lamp_kind(emitter: Any) -> str:

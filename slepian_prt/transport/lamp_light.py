@@ -23,11 +23,18 @@ _RAYS_PER_BLOCK = 1 << 20
 # Additive recurrences (Roberts 2018): two dimensions by the root of x³ = x + 1, a third by the golden ratio.
 _STEPS = tuple(int(step * 2**32) for step in (0.7548776662466927, 0.5698402909980532, 0.6180339887498949))
 
+# From 32 bits to [0, 1), so that rounding does not reach one.
+_UNIT = (1.0 - 2.0**-24) * 2.0**-32
+
 # Shadow rays stop this part of the way before the lamp, about as Mitsuba's own do (its ShadowEpsilon).
 _SHORTENED = 1e-3
 
-# Fewest samples of a lamp that is a surface.
-_FEWEST = 32
+# Fewest samples of a lamp that is a surface, and of each lamp among those that are sampled as one; these take no more
+# than so many times the samples that are asked for.
+_FEWEST, _EACH_OF_SEVERAL, _MOST = 32, 8, 2
+
+# Receivers whose light is put together at a time.
+_RECEIVERS = 1 << 16
 
 
 class Group(NamedTuple):
@@ -64,13 +71,18 @@ class DirectLight(NamedTuple):
     rays: int
 
 
-def samples_of(groups: list[Group], samples: int) -> tuple[int, int]:
-    """Samples toward each lamp that is sampled, and along the cosine for all of them, of ``samples`` for a receiver."""
+def samples_of(groups: list[Group], samples: int) -> tuple[list[int], int]:
+    """Samples toward each group, and along the cosine for all of them, of about ``samples`` for a receiver."""
     count = sum(group.sampled for group in groups)
-    if count == 0:
-        return 1, 0
     each = max(_FEWEST, samples // (count + 1))
-    return each + each % 2, each + each % 2
+
+    def toward(group: Group) -> int:
+        if not group.sampled:
+            return 1
+        several = min(_EACH_OF_SEVERAL * group.emitters.size, _MOST * samples) if group.emitters.size > 1 else 0
+        return _even(max(each, several))
+
+    return [toward(group) for group in groups], _even(each) if count else 0
 
 
 @dataclass(eq=False)
@@ -104,19 +116,27 @@ class LampTracer:
             With the receivers given in the place of all.
         """
         before = self.rays
+        radiance = np.empty((len(self.groups), vertices.size, 3), dtype=np.float32)
+        squared_noise = np.zeros(len(self.groups))
+        for begin in range(0, vertices.size, _RECEIVERS):
+            some = slice(begin, begin + _RECEIVERS)
+            halves = self._halves_at(vertices[some], shadows)
+            radiance[:, some] = halves.mean(axis=1)
+            squared_noise += np.sum((0.5 * (halves[:, 0] - halves[:, 1])) ** 2, axis=(1, 2))
+        return DirectLight(radiance, squared_noise, self.rays - before)
+
+    def _halves_at(self, vertices: NDArray[np.int64], shadows: bool) -> NDArray[np.float64]:
+        """(groups, 2, n, 3) estimates from both halves of the samples."""
         toward, along = samples_of(self.groups, self.samples)
         halves = np.zeros((len(self.groups), 2, vertices.size, 3))
-        for number, group in enumerate(self.groups):
-            count = toward if group.sampled else 1
+        for number, count in enumerate(toward):
             for chosen in _blocks(vertices.size, count):
                 light = self._toward(number, vertices[chosen], count, along if shadows else 0, shadows)
                 halves[number, :, chosen] += light
         if shadows and along:
             for chosen in _blocks(vertices.size, along):
                 halves[:, :, chosen] += self._along(vertices[chosen], toward, along)
-        radiance = halves.mean(axis=1)
-        squared_noise = np.sum((0.5 * (halves[:, 0] - halves[:, 1])) ** 2, axis=(1, 2))
-        return DirectLight(radiance.astype(np.float32), squared_noise, self.rays - before)
+        return halves
 
     @cached_property
     def _geometry(self) -> Any:
@@ -141,12 +161,7 @@ class LampTracer:
 
         mi, group = self.scene.mi, self.groups[number]
         place, u, origin_of, it = self._start(vertices, count, number)
-        emitters, pick = self.scene.loaded.emitters_dr(), mi.UInt32(0)
-        if group.emitters.size > 1:
-            ends = mi.Float(np.cumsum(group.weights)[:-1].astype(np.float32))
-            pick = dr.binary_search(0, group.emitters.size - 1, lambda i: dr.gather(mi.Float, ends, i) <= u[2])
-        emitter = dr.gather(mi.EmitterPtr, emitters, dr.gather(mi.UInt32, mi.UInt32(group.emitters), pick))
-        chance = dr.gather(mi.Float, mi.Float(group.weights.astype(np.float32)), pick)
+        emitter, chance = self._emitter(group, u[2])
         ds, weight = emitter.sample_direction(it, mi.Point2f(u[0], u[1]), dr.squared_norm(it.n) > 0.5)
         cosine = dr.maximum(dr.dot(it.n, ds.d), 0.0) * dr.inv_pi
         lit = (ds.pdf > 0.0) & (cosine > 0.0)
@@ -159,7 +174,20 @@ class LampTracer:
         value = mi.Color3f(mi.unpolarized_spectrum(weight)) * cosine * part / chance
         return _halves(mi, dr.select(lit, value, 0.0), vertices.size, count)
 
-    def _along(self, vertices: NDArray[np.int64], toward: int, count: int) -> NDArray[np.float64]:
+    def _emitter(self, group: Group, u: Any) -> tuple[Any, Any]:
+        """The emitter of a group, or of several one for each of the numbers ``u``; and the probability to pick it."""
+        import drjit as dr
+
+        mi, loaded = self.scene.mi, self.scene.loaded
+        if group.emitters.size == 1:
+            return loaded.emitters()[int(group.emitters[0])], mi.Float(1.0)
+        ends = mi.Float(np.cumsum(group.weights)[:-1].astype(np.float32))
+        pick = dr.binary_search(0, group.emitters.size - 1, lambda i: dr.gather(mi.Float, ends, i) <= u)
+        place = dr.gather(mi.UInt32, mi.UInt32(group.emitters), pick)
+        chance = dr.gather(mi.Float, mi.Float(group.weights.astype(np.float32)), pick)
+        return dr.gather(mi.EmitterPtr, loaded.emitters_dr(), place), chance
+
+    def _along(self, vertices: NDArray[np.int64], toward: list[int], count: int) -> NDArray[np.float64]:
         """(groups, 2, n, 3) estimates of the halves of ``count`` samples along the cosine, of the lamps they meet."""
         import drjit as dr
 
@@ -171,13 +199,13 @@ class LampTracer:
         hit = geometry.ray_intersect(ray, (dr.squared_norm(it.n) > 0.5) & (cosine > 0.0))
         self.rays += dr.width(place)
         emitter = hit.emitter(geometry)
-        group_of, chance_of = self._groups_by_number()
+        group_of, samples_of_it = self._groups_by_number(toward)
         valid = hit.is_valid() & (emitter != None)  # noqa: E711  # an array of pointers
         number: Any = dr.reinterpret_array(mi.UInt32, emitter)
         group = dr.select(valid, dr.gather(mi.Int32, group_of, number, valid), -1)
         valid &= group >= 0
         pdf = emitter.pdf_direction(it, mi.DirectionSample3f(geometry, hit, it), valid)
-        pdf *= toward * dr.gather(mi.Float, chance_of, number, valid)
+        pdf *= dr.gather(mi.Float, samples_of_it, number, valid)
         part = _heuristic(count * cosine, pdf)
         value = dr.select(valid, mi.Color3f(mi.unpolarized_spectrum(emitter.eval(hit, valid))) * part, 0.0)
         dr.eval(value, group)
@@ -196,34 +224,58 @@ class LampTracer:
         mi, scene = self.scene.mi, self.scene
         lane = dr.arange(mi.UInt32, vertices.size * count)
         place = lane // dr.opaque(mi.UInt32, count)
-        # By the receiver, whatever block it is in, the same shift.
-        rng = np.random.default_rng([self.seed, stream])
-        shifts = rng.integers(1 << 32, size=(3, len(scene.receivers)), dtype=np.uint32)[:, vertices]
-        u = [
-            mi.Float((lane - place * count) * mi.UInt32(step) + dr.gather(mi.UInt32, mi.UInt32(shift), place))
-            * 2.0**-32
-            for step, shift in zip(_STEPS, shifts, strict=True)
-        ]
-        u = [dr.minimum(value, 1.0 - 2.0**-24) for value in u]
+        # By the receiver, whatever block it is in, the same shifts.
+        among, receiver = lane - place * count, dr.gather(mi.UInt32, mi.UInt32(vertices), place)
+        keys = np.random.SeedSequence([self.seed, stream]).generate_state(2).tolist()
+        shifts = [shift for key in keys for shift in mi.sample_tea_32(receiver, dr.opaque(mi.UInt32, key))]
+        u = [mi.Float(among * mi.UInt32(step) + shift) * _UNIT for step, shift in zip(_STEPS, shifts, strict=False)]
         origin_of = upload_origins(mi, scene.ray_origins, vertices)
         normals = mi.Normal3f(scene.receivers.normals[vertices].T.astype(np.float32))
         it = dr.zeros(mi.SurfaceInteraction3f, vertices.size * count)
         it.p, it.n = origin_of(place, mi.Vector3f(0.0)), dr.gather(mi.Normal3f, normals, place)
         return place, u, origin_of, it
 
-    def _groups_by_number(self) -> tuple[Any, Any]:
-        """By Dr.Jit's number of an emitter, the group that it is in (-1: none) and the probability to choose it."""
+    def _groups_by_number(self, toward: list[int]) -> tuple[Any, Any]:
+        """By Dr.Jit's number of an emitter, the group that it is in (-1: none) and its samples in the mean."""
         import drjit as dr
 
         mi = self.scene.mi
         numbers = np.array(dr.reinterpret_array(mi.UInt32, self.scene.loaded.emitters_dr()))
         group_of = np.full(int(numbers.max()) + 1, -1, dtype=np.int32)
-        chance_of = np.zeros(group_of.size, dtype=np.float32)
+        samples = np.zeros(group_of.size, dtype=np.float32)
         for index, group in enumerate(self.groups):
             if group.sampled:
                 group_of[numbers[group.emitters]] = index
-                chance_of[numbers[group.emitters]] = group.weights
-        return mi.Int32(group_of), mi.Float(chance_of)
+                samples[numbers[group.emitters]] = toward[index] * group.weights
+        return mi.Int32(group_of), mi.Float(samples)
+
+
+def unshadowed_means(
+    scene: Scene, emitters: NDArray[np.int64], vertices: NDArray[np.int64], samples: int
+) -> NDArray[np.float64]:
+    """(n,) mean radiance of unit albedo that emitters would cause at receivers, of all channels."""
+    import drjit as dr
+
+    mi, size = scene.mi, vertices.size * samples
+    lane = dr.arange(mi.UInt32, emitters.size * size)
+    which = lane // dr.opaque(mi.UInt32, size)
+    among = lane - which * size
+    place = among // dr.opaque(mi.UInt32, samples)
+    first, second = (mi.Float(among * mi.UInt32(step)) * _UNIT for step in _STEPS[:2])
+    it = dr.zeros(mi.SurfaceInteraction3f, emitters.size * size)
+    it.p = upload_origins(mi, scene.ray_origins, vertices)(place, mi.Vector3f(0.0))
+    it.n = dr.gather(mi.Normal3f, mi.Normal3f(scene.receivers.normals[vertices].T.astype(np.float32)), place)
+    emitter = dr.gather(mi.EmitterPtr, scene.loaded.emitters_dr(), dr.gather(mi.UInt32, mi.UInt32(emitters), which))
+    ds, weight = emitter.sample_direction(it, mi.Point2f(first, second))
+    cosine = dr.select(ds.pdf > 0.0, dr.maximum(dr.dot(it.n, ds.d), 0.0), 0.0) * dr.inv_pi
+    colour = mi.Color3f(mi.unpolarized_spectrum(weight))
+    total = dr.block_sum((colour.x + colour.y + colour.z) / 3.0 * cosine, size)
+    return np.array(total, dtype=np.float64) / size
+
+
+def _even(number: int) -> int:
+    """The number, or the next one if it is odd: samples have two halves."""
+    return number + number % 2
 
 
 def _blocks(size: int, count: int) -> list[slice]:

@@ -14,13 +14,13 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.scene import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
 from slepian_prt.transport.effects import NOT_SIMULATED, SIMULATED, Effect, Plan
-from slepian_prt.transport.lamp_light import Group, LampTracer, samples_of
+from slepian_prt.transport.lamp_light import Group, samples_of, unshadowed_means
 
 log = logging.getLogger(__name__)
 
 # Lamps that are kept apart, at most; and receivers and samples for each that tell how bright they are.
 MOST_LAMPS = 16
-_PILOT, _PILOT_SAMPLES = 256, 16
+_PILOT, _PILOT_SAMPLES = 256, 8
 # Names of lamps in a row of the plan.
 _NAMED = 4
 # Plugins whose light no sample finds.
@@ -66,7 +66,7 @@ class Lamps:
 
     def _row(self, plan: Plan, samples: int) -> Effect:
         toward, along = samples_of(self.groups, samples)
-        rays = plan.shadowed.size * (along + sum(toward if group.sampled else 1 for group in self.groups))
+        rays = plan.shadowed.size * (along + sum(toward))
         named = ", ".join(f"'{name}'" for name in self.names[:_NAMED])
         more = f" and {len(self.names) - _NAMED} more" if len(self.names) > _NAMED else ""
         kinds = ", ".join(f"{self.kinds.count(kind)} {kind}" for kind in sorted(set(self.kinds)))
@@ -84,7 +84,7 @@ def find_lamps(scene: Scene, seed: int) -> Lamps:
     Raises
     ------
     UserError
-        A lamp whose light is negative, not finite or too bright, or that Mitsuba cannot sample for reasons of its own.
+        As `lamps_of`.
     """
     loaded = scene.loaded
     found = [] if loaded is None else lamps_of(scene.mi, loaded, scene.path)
@@ -99,7 +99,7 @@ def find_lamps(scene: Scene, seed: int) -> Lamps:
     )
     groups = [_group(scene, [lamp], np.ones(1)) for lamp in lamps]
     receivers = _some_receivers(scene, seed)
-    reached = _reached(scene, groups, receivers, seed)
+    reached = _reached(scene, lamps, receivers)
     if len(lamps) > MOST_LAMPS:
         return _joined(scene, lamps, groups, reached, receivers, left_out)
     return Lamps(
@@ -153,16 +153,15 @@ def _some_receivers(scene: Scene, seed: int) -> NDArray[np.int64]:
     return np.sort(np.random.default_rng(seed).choice(active, _PILOT, replace=False))
 
 
-def _reached(scene: Scene, groups: list[Group], receivers: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
+def _reached(scene: Scene, lamps: list[Lamp], receivers: NDArray[np.int64]) -> NDArray[np.float64]:
     """(n,) mean radiance of unit albedo, unshadowed."""
-    if not groups:
+    if not lamps:
         return np.zeros(0)
     try:
-        light = LampTracer(scene, groups, _PILOT_SAMPLES, seed).trace(receivers, shadows=False)
-    except Exception as error:  # whatever a plugin raises
-        reason = " ".join(str(error).split()) or type(error).__name__
+        return unshadowed_means(scene, np.array([lamp.place for lamp in lamps]), receivers, _PILOT_SAMPLES)
+    except RuntimeError as error:  # Dr.Jit looks at all emitters of the process, those of other scenes too
+        reason = " ".join(str(error).split())
         raise UserError(f"{scene.path}: its lamps cannot be sampled ({reason}); correct or remove them") from None
-    return light.radiance.mean(axis=(1, 2)).astype(np.float64)
 
 
 def _share(scene: Scene, reached: NDArray[np.float64], receivers: NDArray[np.int64]) -> float | None:

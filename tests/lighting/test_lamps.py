@@ -1,9 +1,11 @@
 """What emitters of Mitsuba are called, and what they are set to."""
 
+import gc
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.lamps import Lamp, lamps_of
@@ -53,6 +55,16 @@ def test_what_is_emitted(tmp_path):
         np.testing.assert_allclose(lamp.emitted, value, rtol=tolerance, atol=1e-7)
     np.testing.assert_allclose(found[-1].direction, [0.0, 0.6, -0.8], atol=1e-6)
     assert not any(lamp.direction.any() for lamp in found[:-1])
+
+
+def test_a_texture_on_a_mesh_without_coordinates(tmp_path):
+    trimesh.creation.icosphere(1).export(tmp_path / "ball.ply")
+    bitmap_module().Bitmap(np.ones((2, 2, 3), dtype=np.float32)).write(str(tmp_path / "texels.exr"))
+    bad = """<shape type="ply" id="bad"><string name="filename" value="ball.ply"/><emitter type="area">
+    <texture type="bitmap" name="radiance"><string name="filename" value="texels.exr"/></texture></emitter></shape>"""
+    with pytest.raises(UserError, match=r"^lit\.xml: lamp 'bad' cannot be sampled \(.*\); correct it or remove it$"):
+        lamps(bad, tmp_path)
+    gc.collect()  # Dr.Jit would look at this emitter with all others as long as it is there
 
 
 @pytest.mark.parametrize(("value", "problem"), [("-1, 0, 0", "negative"), ("nan", "NaN"), ("1e30", "more than can be")])
