@@ -158,7 +158,7 @@ def _report_missing(packed: Transfer | CompressedTransfer, report: Callable[[str
     if packed.source and lacking:
         shown = "; ".join(lacking[:3]) + ("; …" if len(lacking) > 3 else "")
         report(
-            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name it: `scene`"
+            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name its `scene`"
         )
 
 

@@ -19,6 +19,7 @@ from slepian_prt.relighting.scene_pictures import environment_of, scale_lamps
 from slepian_prt.relighting.shots import SceneDrawing, VertexDrawing
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.view import Aim
+from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import precompute
 from tests.numerics import assert_exact
 from tests.relighting.test_render import gradient_sky
@@ -169,6 +170,24 @@ def test_scenes_are_found_beside_the_file(ball, tmp_path):
     with mitsuba() as mi:
         assert locate_source(mi, elsewhere, None, tmp_path / "room.prt", pytest.fail).path == tmp_path / "room.xml"
         assert locate_source(mi, elsewhere, None, None, pytest.fail).path is None
+
+
+def test_what_is_not_found_is_missed_in_one_line(ball):
+    rows = [
+        ("mirror reflection of material 'Chrome'", "gathered"),
+        ("shadows", "simulated"),
+        ("caustics", "not simulated"),
+    ]
+    effects = tuple(Effect(name, verdict, None, None, 0, "") for name, verdict in rows)
+    told = []
+    with mitsuba() as mi:
+        lost = replace(ball, source="gone/room.xml", effects=effects)
+        assert locate_source(mi, lost, None, None, told.append).scene is None
+        locate_source(mi, replace(lost, effects=effects[1:2]), None, None, pytest.fail)
+    assert told == [
+        "gone/room.xml is not found, so pictures lack what the file does not hold (mirror reflection of material "
+        "'Chrome'); name its `scene`"
+    ]
 
 
 def test_several_lights_are_drawn_once(ball, white, tmp_path):
