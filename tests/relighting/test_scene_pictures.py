@@ -60,7 +60,7 @@ def test_a_mirror_shows_what_its_mirrored_eye_sees(ball, tmp_path):
     sky = make_environment(gradient_sky())
     room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
     asked = {"width": 48, "fov": 14.0, "scene_linear": True}
-    reflected = render_picture(ball, sky, look_at=(EYE, (-4.0, 0.0, 1.0)), scene=room, samples=64, **asked)
+    reflected = render_picture(ball, sky, look_at=(EYE, (-4.0, 0.0, 1.0)), scene=room, spp=64, **asked)
     direct = render_picture(ball, sky, look_at=(MIRRORED, (0.0, 0.0, 1.0)), background="map", **asked)[:, ::-1]
     assert_exact(reflected[..., 3], np.ones_like(reflected[..., 3]), "the mirror fills the picture")
     metal = reflected[..., :3] / np.maximum(direct[..., :3], 1e-6)
@@ -87,7 +87,7 @@ def test_coverage_is_that_of_the_shapes(ball, white, tmp_path):
     plastic = BALL.replace("diffuse", "plastic").replace("reflectance", "diffuse_reflectance")
     room = write_scene(tmp_path / "room.xml", plastic)
     aim = Aim(((0.0, 0.0, -3.0), (0.0, 0.0, 1.0)))
-    pixels = render_picture(ball, white, width=48, look_at=aim.look_at, scene=room, scene_linear=True, samples=64)
+    pixels = render_picture(ball, white, width=48, look_at=aim.look_at, scene=room, scene_linear=True, spp=64)
     alpha = relit_camera(ball, 48, aim).alpha
     # The sphere and its triangles; 64 and 25 samples of the pixels on the rim.
     assert abs(pixels[..., 3].sum() / alpha.sum() - 1.0) < 0.01
@@ -154,8 +154,8 @@ def test_a_scene_that_changed_is_told(ball, tmp_path):
 def test_scenes_that_cannot_be_had(ball, tmp_path):
     with pytest.raises(UserError, match="no such file; check the path of `scene`"):
         render_picture(ball, np.zeros((3, 9)), width=16, scene=tmp_path / "no.xml")
-    with pytest.raises(UserError, match="samples must be between 1 and"):
-        render_picture(ball, np.zeros((3, 9)), width=16, samples=0)
+    with pytest.raises(UserError, match="spp must be between 1 and"):
+        render_picture(ball, np.zeros((3, 9)), width=16, spp=0)
     (tmp_path / "broken.xml").write_text("<scene")
     told = []
     with mitsuba() as mi:
@@ -215,7 +215,7 @@ def test_a_map_of_coefficients_is_the_light_they_are_of():
 
 def test_the_public_names_take_a_scene(ball, white, tmp_path):
     room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
-    sp.save_picture(tmp_path / "out.png", ball, white, width=16, scene=room, samples=2)
+    sp.save_picture(tmp_path / "out.png", ball, white, width=16, scene=room, spp=2)
     assert (tmp_path / "out.png").stat().st_size > 0
 
 
@@ -249,7 +249,7 @@ def test_lamps_cast_sharp_shadows_and_can_be_turned_off(tmp_path):
     )
     lamp = POINT.format(' id="key"', 0).replace('z="-1"', 'z="2"')
     packed = packed_scene(write_scene(tmp_path / "lit.xml", square, lamp))
-    asked = {"width": 17, "look_at": ((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), "fov": 2.0, "scene_linear": True, "samples": 8}
+    asked = {"width": 17, "look_at": ((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), "fov": 2.0, "scene_linear": True, "spp": 8}
     lit = render_picture(packed, **asked, scene=tmp_path / "lit.xml")
     dark = render_picture(packed, **asked, scene=tmp_path / "lit.xml", fixed_lights={"key": 0.0})
     middle = lit.shape[0] // 2
