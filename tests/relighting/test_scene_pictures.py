@@ -83,6 +83,7 @@ def test_under_the_same_light_from_everywhere_all_is_as_bright(ball, white, tmp_
     np.testing.assert_allclose(pixels[covered][:, :3], pixels[covered][:, 3:] * np.ones(3), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_coverage_is_that_of_the_shapes(ball, white, tmp_path):
     plastic = BALL.replace("diffuse", "plastic").replace("reflectance", "diffuse_reflectance")
     room = write_scene(tmp_path / "room.xml", plastic)
@@ -242,6 +243,7 @@ def test_lamps_of_the_scene_are_dimmed_by_name(tmp_path, scales, expected):
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_lamps_cast_sharp_shadows_and_can_be_turned_off(tmp_path):
     """A point above a square: I cos / r^2 / pi of the light in the picture, and nothing without it."""
     square = (
