@@ -50,7 +50,7 @@ from slepian_prt.cli.values import LampScale, Names, read_transfer, settings_of
     metavar="PATH",
     help="What FILE was made from: its textures, mirrors, glass are drawn.",
 )
-@click.option("--spp", "samples", type=int, metavar="N", help="Samples of each pixel of such pictures.")
+@click.option("--spp", type=int, metavar="N", help="Samples of each pixel of such pictures.")
 @click.option(
     "--format",
     "kind",
@@ -72,7 +72,7 @@ def relight(
     turn_directional: bool,
     width: int | None,
     scene: str | None,
-    samples: int | None,
+    spp: int | None,
     kind: str,
     output: str,
     **options: Any,
@@ -88,7 +88,7 @@ def relight(
 
     options["background"] = options["background"] or TRANSPARENT
     aim, finish = settings_of(Aim, options), settings_of(Finish, options)
-    wish = Wish(f".{kind}", width, aim, finish, scene, samples)
+    wish = Wish(f".{kind}", width, aim, finish, scene, spp)
     drawn = wish.draws(output)
     lights = Lights(
         environment, rotate, turntable, window, window_width, clamp_negative, aim.axis,

@@ -62,18 +62,18 @@ class Taking:
         Of the camera.
     scene : path or None
         The scene or mesh file that the transfer was made from, where it is not where it was.
-    samples : int or None
-        Of each pixel, where the scene is gathered; None for as many as the noise asks for.
+    spp : int or None
+        Samples of each pixel, where the scene is gathered; None for as many as the noise asks for.
     """
 
     width: int | None = None
     aim: Aim = field(default_factory=Aim)
     scene: str | Path | None = None
-    samples: int | None = None
+    spp: int | None = None
 
     def __post_init__(self) -> None:
-        if self.samples is not None and not 1 <= self.samples <= _MOST_SAMPLES:
-            raise UserError(f"samples must be between 1 and {_MOST_SAMPLES} for each pixel, not {self.samples}")
+        if self.spp is not None and not 1 <= self.spp <= _MOST_SAMPLES:
+            raise UserError(f"spp must be between 1 and {_MOST_SAMPLES} samples of each pixel, not {self.spp}")
 
 
 _MOST_SAMPLES = 65536
@@ -158,7 +158,7 @@ def _report_missing(packed: Transfer | CompressedTransfer, report: Callable[[str
     if packed.source and lacking:
         shown = "; ".join(lacking[:3]) + ("; …" if len(lacking) > 3 else "")
         report(
-            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name it: `scene`"
+            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name its `scene`"
         )
 
 
@@ -173,7 +173,7 @@ def _scene_drawing(
     assert source.origin is not None
     scale_lamps(mi, source.scene, lit.fixed_lights)
     camera = scene_camera(mi, packed, source.scene, source.origin, taking.width or _WIDTH, taking.aim)
-    camera = replace(camera, samples=taking.samples)
+    camera = replace(camera, samples=taking.spp)
     environments: list[Environment | None] = list(lit.environments()) or [None] * len(lit.lighting)
     if lit.own_turns is not None:
         own = own_environment(mi, source.scene, str(source.path))

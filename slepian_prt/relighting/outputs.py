@@ -48,8 +48,8 @@ class Wish:
         Background and exposure.
     scene : str or None
         What the transfer was made from, where it is not where it was.
-    samples : int or None
-        Of each pixel of a gathered picture.
+    spp : int or None
+        Samples of each pixel of a gathered picture.
     """
 
     suffix: str = ".png"
@@ -57,12 +57,12 @@ class Wish:
     aim: Aim = field(default_factory=Aim)
     finish: Finish = field(default_factory=Finish)
     scene: str | None = None
-    samples: int | None = None
+    spp: int | None = None
 
     @property
     def taking(self) -> Taking:
         """How pictures are taken."""
-        return Taking(self.width, self.aim, self.scene, self.samples)
+        return Taking(self.width, self.aim, self.scene, self.spp)
 
     def of(self, output: str) -> str:
         """The kind of file that is written."""
@@ -81,7 +81,7 @@ class Wish:
             "look_at": self.aim.look_at is not None,
             "fov": self.aim.fov is not None,
             "background": self.finish.background != TRANSPARENT,
-            "samples": self.samples is not None,
+            "spp": self.spp is not None,
         }
         given = [] if self.draws(output) else [name for name, is_asked in asked.items() if is_asked]
         return [*given, *(["exposure"] if kind == ".npz" and self.finish.exposure else [])]

@@ -41,7 +41,7 @@ def render_picture(
     exposure: float = 0.0,
     fixed_lights: float | Mapping[str, float] = 1.0,
     scene: str | Path | None = None,
-    samples: int | None = None,
+    spp: int | None = None,
     scene_linear: bool = False,
 ) -> NDArray[np.float32]:
     """Draw a model under a light; ``plt.imshow`` shows the result as it is.
@@ -71,8 +71,8 @@ def render_picture(
     scene : path, optional
         The scene or mesh file that the transfer was made from, where it is not where it was. Textures, mirrors, glass
         and whatever else the transfer does not hold are drawn from it.
-    samples : int, optional
-        Of each pixel, where a scene calls for gathering; by default as many as leave noise of 2 %, 128 at most.
+    spp : int, optional
+        Samples of each pixel, where a scene calls for gathering; by default as many as leave noise of 2 %, 128 at most.
     scene_linear : bool
         Linear radiance times 2^exposure, multiplied by the opacity, as ``.exr`` files hold it, instead of what a
         screen shows.
@@ -88,9 +88,7 @@ def render_picture(
         A view, background or light that makes no sense; ``map`` without a map.
     """
     finish = Finish(background, exposure)
-    picture, scale = _draw(
-        transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, samples), finish, fixed_lights
-    )
+    picture, scale = _draw(transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, spp), finish, fixed_lights)
     if scene_linear:
         return linear(picture, finish.factor, finish.colour)
     return display(picture, scale * finish.factor, finish.colour).astype(np.float32)
@@ -109,14 +107,14 @@ def save_picture(
     exposure: float = 0.0,
     fixed_lights: float | Mapping[str, float] = 1.0,
     scene: str | Path | None = None,
-    samples: int | None = None,
+    spp: int | None = None,
 ) -> None:
     """Write what `render_picture` draws: ``.png`` as screens show it, ``.exr`` with linear radiance.
 
     Parameters
     ----------
     path : path
-    transfer, lighting, width, look_at, fov, up, background, exposure, fixed_lights, scene, samples
+    transfer, lighting, width, look_at, fov, up, background, exposure, fixed_lights, scene, spp
         As of `render_picture`.
 
     Raises
@@ -129,9 +127,7 @@ def save_picture(
         raise UserError(f"{path}: pictures are written as .png or .exr, not '{path.suffix}'")
     check_writable(path, *(given for given in (lighting, scene) if isinstance(given, str | Path)))
     finish = Finish(background, exposure)
-    picture, scale = _draw(
-        transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, samples), finish, fixed_lights
-    )
+    picture, scale = _draw(transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, spp), finish, fixed_lights)
     write_picture(path, picture, scale, finish)
 
 

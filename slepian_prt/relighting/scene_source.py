@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.mitsuba_files import load_xml
 from slepian_prt.scene.surface_detail import SurfaceDetail, read_surface_detail
 from slepian_prt.transport.transfer import Transfer
@@ -104,5 +105,8 @@ def is_plain(bsdf: Any) -> bool:
 
 
 def missing_in_picture(packed: Transfer | CompressedTransfer) -> tuple[str, ...]:
-    """What pictures lack that are drawn from the file alone, by the rows of its plan that say so."""
-    return tuple(row.name for row in getattr(packed, "effects", ()) if row.verdict not in ("simulated", "omitted"))
+    """What pictures lack that are drawn from the file alone: the rows of its plan that its scene's pictures gather."""
+    effects = packed.effects
+    gathered = tuple(row.name for row in effects if row.verdict == GATHERED)
+    # Files of before had one word for all that is left out.
+    return gathered or tuple(row.name for row in effects if row.verdict == NOT_SIMULATED)

@@ -7,9 +7,14 @@ import pytest
 
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.lights import lights_of
-from slepian_prt.evaluation.reference import environment_emitter
 from slepian_prt.lighting import sky
-from slepian_prt.lighting.emitters import SkyEnvironment, emitted_environment, evaluate, project_emitter
+from slepian_prt.lighting.emitters import (
+    SkyEnvironment,
+    emitted_environment,
+    environment_emitter,
+    evaluate,
+    project_emitter,
+)
 from slepian_prt.lighting.environment import about_up, make_environment
 from slepian_prt.lighting.projection import lighting_at, project_environment
 from slepian_prt.lighting.texel_projection import TexelProjection

@@ -19,6 +19,7 @@ from slepian_prt.relighting.scene_pictures import environment_of, scale_lamps
 from slepian_prt.relighting.shots import SceneDrawing, VertexDrawing
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.view import Aim
+from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import precompute
 from tests.numerics import assert_exact
 from tests.relighting.test_render import gradient_sky
@@ -59,7 +60,7 @@ def test_a_mirror_shows_what_its_mirrored_eye_sees(ball, tmp_path):
     sky = make_environment(gradient_sky())
     room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
     asked = {"width": 48, "fov": 14.0, "scene_linear": True}
-    reflected = render_picture(ball, sky, look_at=(EYE, (-4.0, 0.0, 1.0)), scene=room, samples=64, **asked)
+    reflected = render_picture(ball, sky, look_at=(EYE, (-4.0, 0.0, 1.0)), scene=room, spp=64, **asked)
     direct = render_picture(ball, sky, look_at=(MIRRORED, (0.0, 0.0, 1.0)), background="map", **asked)[:, ::-1]
     assert_exact(reflected[..., 3], np.ones_like(reflected[..., 3]), "the mirror fills the picture")
     metal = reflected[..., :3] / np.maximum(direct[..., :3], 1e-6)
@@ -82,11 +83,12 @@ def test_under_the_same_light_from_everywhere_all_is_as_bright(ball, white, tmp_
     np.testing.assert_allclose(pixels[covered][:, :3], pixels[covered][:, 3:] * np.ones(3), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_coverage_is_that_of_the_shapes(ball, white, tmp_path):
     plastic = BALL.replace("diffuse", "plastic").replace("reflectance", "diffuse_reflectance")
     room = write_scene(tmp_path / "room.xml", plastic)
     aim = Aim(((0.0, 0.0, -3.0), (0.0, 0.0, 1.0)))
-    pixels = render_picture(ball, white, width=48, look_at=aim.look_at, scene=room, scene_linear=True, samples=64)
+    pixels = render_picture(ball, white, width=48, look_at=aim.look_at, scene=room, scene_linear=True, spp=64)
     alpha = relit_camera(ball, 48, aim).alpha
     # The sphere and its triangles; 64 and 25 samples of the pixels on the rim.
     assert abs(pixels[..., 3].sum() / alpha.sum() - 1.0) < 0.01
@@ -153,8 +155,8 @@ def test_a_scene_that_changed_is_told(ball, tmp_path):
 def test_scenes_that_cannot_be_had(ball, tmp_path):
     with pytest.raises(UserError, match="no such file; check the path of `scene`"):
         render_picture(ball, np.zeros((3, 9)), width=16, scene=tmp_path / "no.xml")
-    with pytest.raises(UserError, match="samples must be between 1 and"):
-        render_picture(ball, np.zeros((3, 9)), width=16, samples=0)
+    with pytest.raises(UserError, match="spp must be between 1 and"):
+        render_picture(ball, np.zeros((3, 9)), width=16, spp=0)
     (tmp_path / "broken.xml").write_text("<scene")
     told = []
     with mitsuba() as mi:
@@ -169,6 +171,24 @@ def test_scenes_are_found_beside_the_file(ball, tmp_path):
     with mitsuba() as mi:
         assert locate_source(mi, elsewhere, None, tmp_path / "room.prt", pytest.fail).path == tmp_path / "room.xml"
         assert locate_source(mi, elsewhere, None, None, pytest.fail).path is None
+
+
+def test_what_is_not_found_is_missed_in_one_line(ball):
+    rows = [
+        ("mirror reflection of material 'Chrome'", "gathered"),
+        ("shadows", "simulated"),
+        ("caustics", "not simulated"),
+    ]
+    effects = tuple(Effect(name, verdict, None, None, 0, "") for name, verdict in rows)
+    told = []
+    with mitsuba() as mi:
+        lost = replace(ball, source="gone/room.xml", effects=effects)
+        assert locate_source(mi, lost, None, None, told.append).scene is None
+        locate_source(mi, replace(lost, effects=effects[1:2]), None, None, pytest.fail)
+    assert told == [
+        "gone/room.xml is not found, so pictures lack what the file does not hold (mirror reflection of material "
+        "'Chrome'); name its `scene`"
+    ]
 
 
 def test_several_lights_are_drawn_once(ball, white, tmp_path):
@@ -196,7 +216,7 @@ def test_a_map_of_coefficients_is_the_light_they_are_of():
 
 def test_the_public_names_take_a_scene(ball, white, tmp_path):
     room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
-    sp.save_picture(tmp_path / "out.png", ball, white, width=16, scene=room, samples=2)
+    sp.save_picture(tmp_path / "out.png", ball, white, width=16, scene=room, spp=2)
     assert (tmp_path / "out.png").stat().st_size > 0
 
 
@@ -223,6 +243,7 @@ def test_lamps_of_the_scene_are_dimmed_by_name(tmp_path, scales, expected):
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_lamps_cast_sharp_shadows_and_can_be_turned_off(tmp_path):
     """A point above a square: I cos / r^2 / pi of the light in the picture, and nothing without it."""
     square = (
@@ -230,7 +251,7 @@ def test_lamps_cast_sharp_shadows_and_can_be_turned_off(tmp_path):
     )
     lamp = POINT.format(' id="key"', 0).replace('z="-1"', 'z="2"')
     packed = packed_scene(write_scene(tmp_path / "lit.xml", square, lamp))
-    asked = {"width": 17, "look_at": ((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), "fov": 2.0, "scene_linear": True, "samples": 8}
+    asked = {"width": 17, "look_at": ((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)), "fov": 2.0, "scene_linear": True, "spp": 8}
     lit = render_picture(packed, **asked, scene=tmp_path / "lit.xml")
     dark = render_picture(packed, **asked, scene=tmp_path / "lit.xml", fixed_lights={"key": 0.0})
     middle = lit.shape[0] // 2

@@ -45,9 +45,9 @@ def scene_integrator(
         wanted = (3, (packed.bandlimit + 1) ** 2)
         coefficients = np.asarray(lighting, dtype=np.float64)
         if coefficients.shape != wanted:
-            raise UserError(f"`lighting` must have shape {wanted}, not {coefficients.shape}")
+            raise UserError(f"lighting must have shape {wanted}, not {coefficients.shape}")
         if not np.isfinite(coefficients).all():
-            raise UserError("`lighting` must be finite")
+            raise UserError("lighting must be finite")
     register()
     properties = mi.Properties(NAME)
     properties["albedo"] = albedo
