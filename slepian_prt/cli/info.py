@@ -34,8 +34,9 @@ def info(file: str, as_json: bool) -> None:
         return
     from slepian_prt.cli.terminal import print_plan
 
-    width = max(map(len, content)) + 1
-    for name, value in (content | _in_words(packed)).items():
+    known = {name: value for name, value in (content | _in_words(packed)).items() if value is not None}
+    width = max(map(len, known)) + 1
+    for name, value in known.items():
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
         click.echo(_entry(f"{name:<{width}}", text))
     print_plan(packed.effects)

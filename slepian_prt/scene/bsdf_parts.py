@@ -27,7 +27,7 @@ PERTURBING = {"BumpMap": "bump", "NormalMap": "normal"}
 def _collector(callback: Any) -> Any:
     """A class that collects what a Mitsuba object shows when it is traversed."""
 
-    class Collector(callback):  # type: ignore[misc]
+    class Collector(callback):
         def __init__(self) -> None:
             super().__init__()
             self.found: dict[str, Any] = {}

@@ -1,7 +1,7 @@
 """How much diffuse light the diffuse lobe of a Mitsuba BSDF reflects, measured on the BSDF.
 
-What a material calls its diffuse reflectance is a parameter and not what is reflected: of a plastic with 0.5 it is 0.46,
-because light is reflected at the coat on its way in and out, and of a nonlinear one 0.27.
+What a material calls its diffuse reflectance is a parameter and not what is reflected: a plastic with 0.5 reflects
+0.46, because its coat reflects light on its way in and out, and a nonlinear one 0.26.
 """
 
 from __future__ import annotations
@@ -96,12 +96,12 @@ def _measured(mi: Any, bsdf: Any, points: Any, side: int) -> NDArray[np.float64]
         points.wi = mi.Vector3f(0.0, 0.0, float(side))
         return _values(mi, bsdf.eval_diffuse_reflectance(points), count)
     points.wi = reference
-    simple = _values(mi, bsdf.eval(_diffuse_only(mi), points, reference), count) * (math.pi / 0.8)
+    single = _values(mi, bsdf.eval(_diffuse_only(mi), points, reference), count)
     exact = _integrated(mi, bsdf, probes, side, _FINE)
-    scaled = simple[chosen]
-    ratio = float(exact.sum() / scaled.sum()) if scaled.sum() > 0.0 else 0.0
-    if np.all(np.abs(exact - ratio * scaled) <= _SAME_SHAPE * np.abs(exact)):
-        return ratio * simple
+    probed = single[chosen]
+    ratio = float(exact.sum() / probed.sum()) if probed.sum() > 0.0 else 0.0
+    if np.all(np.abs(exact - ratio * probed) <= _SAME_SHAPE * np.abs(exact)):
+        return ratio * single
     return _integrated(mi, bsdf, points, side, _COARSE)
 
 

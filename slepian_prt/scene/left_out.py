@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+# Not held at the vertices of a file. What is gathered is in pictures all the same, as long as they are drawn from the
+# scene itself: the integrator follows rays there.
+NOT_SIMULATED, GATHERED = "not simulated", "gathered"
+
 
 class LeftOut(NamedTuple):
-    """An effect that is not simulated.
+    """An effect that transfer at vertices does not hold.
 
     Attributes
     ----------
@@ -14,8 +18,11 @@ class LeftOut(NamedTuple):
     share : float or None
         Part of the surface that has it; None where it is not known.
     reason : str
+    verdict : str
+        ``not simulated``, or ``gathered`` where pictures of the scene have it.
     """
 
     name: str
     share: float | None = None
     reason: str = "only reflection of distant light by diffuse surfaces is simulated"
+    verdict: str = NOT_SIMULATED

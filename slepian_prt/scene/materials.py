@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import Any, NamedTuple
 
@@ -13,6 +12,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.scene.barycentric import points_on
 from slepian_prt.scene.bsdf_parts import is_textured
 from slepian_prt.scene.diffuse_lobe import diffuse_albedo
+from slepian_prt.scene.face_means import FaceMeans
 from slepian_prt.scene.normals import face_areas
 
 # Barycentric interpolation of an attribute may fall this far below zero.
@@ -37,6 +37,17 @@ def reflects_toward_a_view(mi: Any, bsdf: Any) -> bool:
 def reflects_on_both_sides(mi: Any, bsdf: Any) -> bool:
     """Whether light on the back is reflected there."""
     return bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide))
+
+
+def lets_all_light_through(mi: Any, bsdf: Any) -> bool:
+    """Whether a surface is nothing but a boundary: ``null``, as of media, no opacity, or glass like what is around."""
+    flags = mi.BSDFFlags
+    does = (flags.Diffuse, flags.Glossy, flags.DeltaReflection, flags.DeltaTransmission)
+    if not any(mi.has_flag(bsdf.flags(), flag) for flag in does):
+        return bool(mi.has_flag(bsdf.flags(), flags.Null))
+    parameters = mi.traverse(bsdf)
+    number = {"MaskBSDF": ("opacity.value", 0.0), "SmoothDielectric": ("eta", 1.0)}.get(bsdf.class_name())
+    return number is not None and number[0] in parameters and bool(np.all(np.array(parameters[number[0]]) == number[1]))
 
 
 def left_out(mi: Any, bsdf: Any, name: str, *, view: bool) -> list[str]:
@@ -98,7 +109,7 @@ class VertexReflectance(NamedTuple):
     Attributes
     ----------
     albedo : (V, 3) float32
-        Where the material is textured, the mean over the faces around the vertex.
+        Where the material is textured, the mean over the faces around the vertex, or what is found at it.
     lost : float
         Relative RMS by which the albedo on the faces differs from what is interpolated between the vertices.
     """
@@ -119,8 +130,8 @@ def vertex_reflectance(
 ) -> VertexReflectance:
     """What the diffuse lobe of a mesh's material reflects, as `diffuse_lobe.diffuse_albedo` measures it.
 
-    Textures and attributes of the mesh count by their mean over the faces around a vertex, each point weighted as
-    interpolation from the vertex weights it.
+    Textures count by their mean over the faces around a vertex, each point weighted as interpolation from the vertex
+    weights it, unless what is found at the vertices interpolates to something nearer to them.
 
     Parameters
     ----------
@@ -148,7 +159,7 @@ def vertex_reflectance(
             first = surface_points(mi, shape, positions[:1], normals[:1], np.zeros((1, 3), dtype=np.int64))
             albedo, lost = _checked(diffuse_albedo(mi, bsdf, first, side=side), origin), 0.0
         else:
-            albedo, lost = _means_over_faces(mi, shape, positions, normals, faces, origin, side)
+            albedo, lost = _textured_reflectance(mi, shape, positions, normals, faces, origin, side)
     except UserError:
         raise
     except Exception as error:  # whatever a texture plugin raises
@@ -166,14 +177,26 @@ def _checked(reflectance: NDArray[np.float64], origin: str) -> NDArray[np.float6
     return np.clip(reflectance, 0.0, 1.0)
 
 
-def _means_over_faces(
+def _textured_reflectance(
     mi: Any, shape: Any, positions: NDArray, normals: NDArray, faces: NDArray, origin: str, side: int
 ) -> tuple[NDArray[np.float64], float]:
-    """(V, 3) means around the vertices, and what interpolation between them loses.
+    """(V, 3) albedo at the vertices, and what interpolation between them loses.
 
-    Sums over the points of each face are enough for both: with m_k the mean of λ_k v over the face and M_kl that of
-    λ_k λ_l, the mean of (v - Σ a_k λ_k)² is that of v², less 2 Σ a_k m_k, plus Σ a_k M_kl a_l.
+    It is the mean around each vertex, or what is found at it where that loses less: colours of vertices, and textures
+    that are smooth on a face, are not to be blurred.
     """
+    means = _face_means(mi, shape, positions, normals, faces, origin, side)
+    around = np.clip(means.around_vertices(len(positions)), 0.0, 1.0)
+    there = diffuse_albedo(mi, shape.bsdf(), surface_points(mi, shape, positions, normals, faces), side=side)
+    lost = [means.lost(around), means.lost(np.clip(np.nan_to_num(there), 0.0, 1.0))]
+    if lost[1] < lost[0]:
+        return np.clip(np.nan_to_num(there), 0.0, 1.0), lost[1]
+    return around, lost[0]
+
+
+def _face_means(
+    mi: Any, shape: Any, positions: NDArray, normals: NDArray, faces: NDArray, origin: str, side: int
+) -> FaceMeans:
     area, bsdf = face_areas(positions, faces), shape.bsdf()
     grid, sliver = points_on(len(faces), _LOOKUPS), _is_sliver(positions, faces, area)
     moments, squares = np.zeros((len(faces), 3, 3)), np.zeros((len(faces), 3))
@@ -185,17 +208,7 @@ def _means_over_faces(
         values = _checked(np.where(sliver[:, None], np.clip(np.nan_to_num(values), 0.0, 1.0), values), origin)
         moments += np.einsum("pk,pfc->fkc", some, values) / len(grid)
         squares += np.einsum("pfc,pfc->fc", values, values) / len(grid)
-    count, shared = len(positions), grid.T @ grid / len(grid)
-    weights, total = np.zeros(count), np.zeros((count, 3))
-    for corner in range(3):
-        weights += np.bincount(faces[:, corner], area / 3.0, minlength=count)
-        for channel in range(3):
-            total[:, channel] += np.bincount(faces[:, corner], area * moments[:, corner, channel], minlength=count)
-    albedo = np.clip(total / np.maximum(weights, 1e-300)[:, None], 0.0, 1.0)
-    held = albedo[faces]
-    missed = squares - 2.0 * np.einsum("fkc,fkc->fc", held, moments) + np.einsum("fkc,kl,flc->fc", held, shared, held)
-    lost = max(0.0, float(area @ missed.sum(axis=1))) / max(float(area @ squares.sum(axis=1)), 1e-300)
-    return albedo, math.sqrt(lost)
+    return FaceMeans(faces, area, moments, squares, grid.T @ grid / len(grid))
 
 
 def _is_sliver(positions: NDArray, faces: NDArray, area: NDArray) -> NDArray[np.bool_]:

@@ -2,8 +2,8 @@
 
 Both ignore the type mask of a `BSDFContext`. Their lobe is a formula of the base colour, the roughness r, the flatness
 and the sheen (Burley, *Physically Based Shading at Disney*, 2012, Sec. 5.3, and its 2015 extension; Mitsuba's
-``principled.cpp``), in which r appears to the second power at most. So its bihemispherical integral is a polynomial of r
-whose coefficients are integrated once.
+``principled.cpp``), in which r appears to the second power at most. So its bihemispherical integral is a polynomial of
+r whose coefficients are integrated once.
 """
 
 from __future__ import annotations

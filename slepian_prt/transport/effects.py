@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.view import View
 
-SIMULATED, OMITTED, NOT_SIMULATED = "simulated", "omitted", "not simulated"
+__all__ = ["GATHERED", "NOT_SIMULATED", "OMITTED", "SIMULATED", "Effect", "Plan", "wanted_effects"]
+
+SIMULATED, OMITTED = "simulated", "omitted"
 EFFECTS = ("shadows", "interreflection", "colour")
 
 # What `wanted_effects` takes beside lists of effects.
@@ -31,11 +34,13 @@ class Effect:
     ----------
     name : str
     verdict : str
-        ``simulated``; ``omitted`` because it contributes too little or was not asked for; or ``not simulated``, which
-        this method (or this scene) cannot do.
+        ``simulated``; ``omitted`` because it contributes too little or was not asked for; ``gathered``, which is not
+        held at vertices but is in pictures that are drawn from the scene; or ``not simulated``, which this method (or
+        this scene) cannot do.
     contribution : float or None
         Part of the received light, in the mean over the surface under a constant environment, that simulating it
-        changes; for interreflection at most. None where it is not known.
+        changes; for interreflection at most; of materials, the part of the surface that has them. None where it is
+        not known.
     confidence : float or None
         Half-width of the 95 % confidence interval of ``contribution``.
     rays : int

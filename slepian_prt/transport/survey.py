@@ -145,9 +145,7 @@ class _Decisions:
             rows.append(Effect(name, NOT_SIMULATED, self._pilot.backs, None, 0, reason))
         if self._pilot.between > _BETWEEN:
             rows.append(self._between())
-        rows += [
-            Effect(name, NOT_SIMULATED, share, None, 0, reason) for name, share, reason in self._scene.not_simulated
-        ]
+        rows += [Effect(row.name, row.verdict, row.share, None, 0, row.reason) for row in self._scene.not_simulated]
         estimator = "direct" if self._view is None else "view"
         nodes = self._survey.nodes(self._samples)
         return Plan(tuple(rows), estimator, shadowed, nodes, bounces, channels, self._view)

@@ -6,12 +6,16 @@ import sys
 
 import pytest
 
-from slepian_prt.cli.terminal import print_table
+from slepian_prt.cli.terminal import print_plan, print_table
+from slepian_prt.scene.left_out import GATHERED, LeftOut
+from slepian_prt.transport.effects import Effect
 from tests.terminal import run_in_terminal
 
 CHOICES = """
 from slepian_prt.cli.messages import note, say
-from slepian_prt.cli.terminal import print_table
+from slepian_prt.cli.terminal import print_plan, print_table
+from slepian_prt.scene.left_out import GATHERED, LeftOut
+from slepian_prt.transport.effects import Effect
 headings = ["", "rays", "error of transport", "predicted error", "bytes/vertex, at most", "transport", "compression"]
 row = ["→", "64", "26.82%", "37.72% ± 0.37%", "0.095", "0.8 s", "1.2 s"]
 print_table(dict.fromkeys(headings, "right"), [row], spare=("compression", "transport", "error of transport"))
@@ -54,3 +58,11 @@ def test_long_cells_stay_on_one_line_in_a_pipe(capsys):
     reason = "left out: " + "a material that is not known, " * 12
     print_table({"effect": "left", "reason": "left"}, [["materials", reason.strip()]])
     assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_the_plan_says_what_is_gathered(capsys):
+    rows = (LeftOut("mirror reflection of material 'Chrome'", 0.25, "why", GATHERED), LeftOut("media"))
+    print_plan([Effect(row.name, row.verdict, row.share, None, 0, row.reason) for row in rows])
+    mirror, media = capsys.readouterr().out.splitlines()[1:]
+    assert re.split(r"  +", mirror.strip()) == [rows[0].name, "gathered", "0.250", "none", "why"]
+    assert re.split(r"  +", media.strip())[1:3] == ["not simulated", "unknown"]
