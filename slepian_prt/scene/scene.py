@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.scene.ids import load_keeping_ids
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.piercing import find_pierced
@@ -232,4 +233,4 @@ def traced_scene(mi: Any, shapes: Sequence[Any], groups: Sequence[Any], **others
         others = {"embree_use_robust_intersections": True, **others}
     objects = {f"group_{i}": group for i, group in enumerate(groups)}
     objects |= {f"shape_{i}": shape for i, shape in enumerate(shapes)}
-    return mi.load_dict({"type": "scene", **objects, **others})
+    return load_keeping_ids(mi, {"type": "scene", **objects, **others})

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.scene.materials import diffuse_reflectance
+from slepian_prt.scene.materials import diffuse_reflectance, vertex_reflectance
 from slepian_prt.scene.mesh import Mesh, check_geometry, make_mesh
 from slepian_prt.scene.normals import face_areas
 from slepian_prt.scene.parametric import PARAMETRIC, cut_cube, parametric
@@ -26,6 +26,8 @@ class ReceivingShape:
     mesh : Mesh
     triangles : Triangles
         As Mitsuba numbers them; ``mesh`` has the same vertices and leaves out degenerate faces.
+    texture_lost : float
+        See `materials.VertexReflectance.lost`.
     shines : bool
         Whether it is a lamp too.
     original : ReceivingShape or None
@@ -35,6 +37,7 @@ class ReceivingShape:
     shape: Any
     mesh: Mesh
     triangles: Triangles
+    texture_lost: float = 0.0
     shines: bool = False
     original: ReceivingShape | None = None
 
@@ -89,8 +92,8 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, triangles: Tria
     positions, faces = triangles.positions, triangles.faces
     mesh = make_mesh(positions, faces, normals=triangles.normals, name=name, origin=origin)
     traced = shape if triangles.are_own else mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
-    albedo = diffuse_reflectance(mi, traced, positions, mesh.normals, faces, origin)
-    return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles, shape.is_emitter())
+    albedo, lost = vertex_reflectance(mi, traced, positions, mesh.normals, faces, origin)
+    return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles, lost, shape.is_emitter())
 
 
 def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> NDArray[np.float32]:

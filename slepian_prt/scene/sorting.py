@@ -120,19 +120,6 @@ def sort_shapes(mi: Any, loaded: Any, path: str, *, toward_view: bool) -> Sorted
     return _Sorter(mi, loaded, path, diagonal, toward_view).sort()
 
 
-def lets_all_light_through(mi: Any, bsdf: Any) -> bool:
-    """Whether a surface is nothing but a boundary: ``null``, as of media, no opacity, or glass like what is around."""
-    flags = mi.BSDFFlags
-    if bsdf is None:
-        return False
-    sides = int(flags.FrontSide) | int(flags.BackSide)
-    if int(bsdf.flags()) & ~sides == int(flags.Null):
-        return True
-    parameters = mi.traverse(bsdf)
-    number = {"MaskBSDF": ("opacity.value", 0.0), "SmoothDielectric": ("eta", 1.0)}.get(bsdf.class_name())
-    return number is not None and number[0] in parameters and bool(np.all(np.array(parameters[number[0]]) == number[1]))
-
-
 class _Sorter:
     """Goes through the shapes of a scene; see `SortedShapes` for what it gathers."""
 
@@ -200,7 +187,7 @@ class _Sorter:
     def _triangles(self, shape: Any, name: str, stretch: float) -> tuple[Triangles | None, str]:
         """Those of a shape that can receive light, or why it cannot."""
         mi, bsdf = self._mi, shape.bsdf()
-        if lets_all_light_through(mi, bsdf):
+        if materials.lets_all_light_through(mi, bsdf):
             return None, "all light passes it, and it casts no shadow"
         if not self._reflects(mi, bsdf):
             return None, f"its material has no diffuse part; {_SHADOWS_ONLY}"
@@ -216,7 +203,9 @@ class _Sorter:
             member = name.rsplit("/", 1)[-1]
             made = [placed(mi, receiving, instance, f"{instance.name}/{member}") for instance in candidate.instances]
         area = sum(float(face_areas(shape.mesh.positions, shape.mesh.faces).sum()) for shape in made)
-        result.outcomes[candidate.outcome] = result.outcomes[candidate.outcome]._replace(area=area, sides=1)
+        result.outcomes[candidate.outcome] = result.outcomes[candidate.outcome]._replace(
+            area=area, sides=1, texture_lost=receiving.texture_lost
+        )
         result.receiving.extend(made)
         result.of_outcome.extend([candidate.outcome] * len(made))
 
