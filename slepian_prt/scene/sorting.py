@@ -187,7 +187,7 @@ class _Sorter:
     def _triangles(self, shape: Any, name: str, stretch: float) -> tuple[Triangles | None, str]:
         """Those of a shape that can receive light, or why it cannot."""
         mi, bsdf = self._mi, shape.bsdf()
-        if materials.lets_all_light_through(mi, bsdf):
+        if bsdf is not None and materials.lets_all_light_through(mi, bsdf):
             return None, "all light passes it, and it casts no shadow"
         if not self._reflects(mi, bsdf):
             return None, f"its material has no diffuse part; {_SHADOWS_ONLY}"
