@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.ids import load_keeping_ids
 from slepian_prt.scene.shapes import ReceivingShape
 from slepian_prt.scene.triangles import mesh_of
 
@@ -138,7 +139,8 @@ def placed(mi: Any, receiving: ReceivingShape, instance: Instance, name: str) ->
 
 def casting_shadows(mi: Any, shapes: Sequence[Any], instances: Sequence[Instance]) -> tuple[Any, list[Any]]:
     """A Mitsuba group of some shapes of a group, and instances of it, which are traced but have no vertices."""
-    group = mi.load_dict({"type": "shapegroup", **{f"shape_{i}": shape for i, shape in enumerate(shapes)}})
+    members = {f"shape_{i}": shape for i, shape in enumerate(shapes)}
+    group = load_keeping_ids(mi, {"type": "shapegroup", **members})
     return group, [
         mi.load_dict({"type": "instance", "group": group, "to_world": mi.ScalarTransform4f(instance.matrix)})
         for instance in instances

@@ -26,6 +26,8 @@ class ReceivingShape:
     mesh : Mesh
     triangles : Triangles
         As Mitsuba numbers them; ``mesh`` has the same vertices and leaves out degenerate faces.
+    texture_lost : float
+        See `materials.VertexReflectance.lost`.
     shines : bool
         Whether it is a lamp too.
     original : ReceivingShape or None
@@ -37,6 +39,7 @@ class ReceivingShape:
     shape: Any
     mesh: Mesh
     triangles: Triangles
+    texture_lost: float = 0.0
     shines: bool = False
     original: ReceivingShape | None = None
     texture_lost: float = 0.0
@@ -93,8 +96,12 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, triangles: Tria
     mesh = make_mesh(positions, faces, normals=triangles.normals, name=name, origin=origin)
     traced = shape if triangles.are_own else mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
     albedo, lost = vertex_reflectance(mi, traced, positions, mesh.normals, faces, origin)
+<<<<<<< HEAD
     known = replace(mesh, albedo=albedo, known_albedo=False)
     return ReceivingShape(traced, known, triangles, shape.is_emitter(), texture_lost=lost)
+=======
+    return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles, lost, shape.is_emitter())
+>>>>>>> receivers
 
 
 def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> NDArray[np.float32]:

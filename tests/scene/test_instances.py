@@ -93,7 +93,7 @@ def test_too_many_cast_shadows_only(limit, tmp_path, monkeypatch):
         body += small + instance("small", '<translate z="9"/>')
     transfer = precompute(write(tmp_path, body), 0, 64, effects="shadows,interreflection")
     assert [part.name for part in transfer.parts] == ["floor"] + ["instance_3/d"] * (limit == "MOST_COPIES")
-    assert any("'g/ball'" in effect.name and "3 instances of" in effect.name for effect in transfer.effects)
+    assert any("'g/ball'" in effect.name and "3 instances of" in effect.reason for effect in transfer.effects)
     light = transfer.vectors[:, :, 0].mean(axis=1) * AMBIENT
     radius = np.linalg.norm(transfer.positions, axis=1)
     assert light[radius < 0.2].max() < 0.2  # the ball reaches through the floor
@@ -117,7 +117,7 @@ def test_shapes_without_vertices_cast_shadows_in_groups_too(tmp_path):
     # An infinite cylinder of radius r at a height h over a plane blocks r/h of the light below its axis.
     below = (np.abs(x) < 0.1) & (np.abs(y) < 0.05)
     assert light[below].mean() == pytest.approx(0.25, abs=0.08)
-    assert any("'g/hair'" in effect.name and "no vertices" in effect.name for effect in transfer.effects)
+    assert any("'g/hair'" in effect.name and "no vertices" in effect.reason for effect in transfer.effects)
 
 
 def test_a_mirror_in_a_group(tmp_path):

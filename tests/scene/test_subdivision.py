@@ -122,9 +122,8 @@ def test_light_on_a_floor_of_two_triangles(tmp_path):
 
 def test_what_stays_coarse_is_told(tmp_path, monkeypatch):
     (tmp_path / "floor.obj").write_text("v -2 -2 0\nv 2 -2 0\nv 2 2 0\nv -2 2 0\nf 1 2 3\nf 1 3 4\n")
-    block = (
-        '<shape type="cube"><transform name="to_world"><scale value="0.8"/></transform><bsdf type="diffuse"/></shape>'
-    )
+    placed = '<transform name="to_world"><scale value="0.4"/><translate x="1" y="0.7" z="0.5"/></transform>'
+    block = f'<shape type="cube">{placed}<bsdf type="diffuse"/></shape>'
     (tmp_path / "scene.xml").write_text(
         f"""<scene version="3.0.0"><shape type="obj"><string name="filename" value="floor.obj"/>
         <bsdf type="diffuse"/></shape>{block}</scene>"""
@@ -135,5 +134,5 @@ def test_what_stays_coarse_is_told(tmp_path, monkeypatch):
             plan = Survey.of(scene).plan(1, 16)
         rows = [effect.reason for effect in plan.effects if effect.name == "light between vertices"]
         # Halved once, the diagonal of 4√2 is half as long as the floor; 1/48 of the scene's diagonal is wanted.
-        expected = f"edges are up to {24 * math.sqrt(32.0 / (32.0 + 1.6**2)):.2g} times as long"
+        expected = f"edges are up to {24 * math.sqrt(32.0 / (32.0 + 0.9**2)):.2g} times as long"
         assert sum(expected in reason for reason in rows) == times

@@ -172,3 +172,27 @@ def test_backs_that_are_not_held_are_told_of():
             plan = Survey.of(scene).plan(1, 64, effects="all")
         told.append([effect.name for effect in plan.effects if "backs" in effect.name])
     assert told == [["light reflected by the backs of surfaces"], []]
+
+
+def test_rays_start_behind_as_from_the_sheet_turned_round(tmp_path):
+    """Of a crumpled sheet, whose faces hide each other: that it lies between its two sides is no contact."""
+    rng = np.random.default_rng(4)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 40), indexing="ij"))
+    positions = np.column_stack([x, y, rng.uniform(-0.04, 0.04, x.size)])
+    place = np.arange(x.size).reshape(40, 40)
+    a, b, c, d = (corner.ravel() for corner in (place[:-1, :-1], place[1:, :-1], place[1:, 1:], place[:-1, 1:]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    for name, wound in (("sheet", faces), ("turned", faces[:, ::-1])):
+        normals = make_mesh(positions, wound).normals
+        trimesh.Trimesh(positions, wound, vertex_normals=normals, process=False).export(
+            tmp_path / f"{name}.ply", vertex_normal=True
+        )
+    shape = '<shape type="ply"><string name="filename" value="{}.ply"/>{}</shape>'
+    with open_scene(write(tmp_path, shape.format("sheet", WHITE))) as scene:
+        (part,) = scene.parts
+        assert part.sides == 2
+        behind = scene.ray_origins.front[part.count :]
+        hidden = scene.is_hidden[part.count :]
+    with open_scene(write(tmp_path, shape.format("turned", ONE_SIDED))) as scene:
+        assert_rounded(behind, scene.ray_origins.front, 8)
+        assert_exact(hidden, scene.is_hidden, "found by rays from the same points")
