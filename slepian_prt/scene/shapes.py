@@ -32,8 +32,6 @@ class ReceivingShape:
         Whether it is a lamp too.
     original : ReceivingShape or None
         What it is a copy of.
-    texture_lost : float
-        Relative RMS by which what is interpolated between vertices is off from a textured albedo.
     """
 
     shape: Any
@@ -42,7 +40,6 @@ class ReceivingShape:
     texture_lost: float = 0.0
     shines: bool = False
     original: ReceivingShape | None = None
-    texture_lost: float = 0.0
 
 
 def shape_triangles(mi: Any, shape: Any, origin: str, diagonal: float, fewest: int) -> Triangles | None:
@@ -96,12 +93,7 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, triangles: Tria
     mesh = make_mesh(positions, faces, normals=triangles.normals, name=name, origin=origin)
     traced = shape if triangles.are_own else mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
     albedo, lost = vertex_reflectance(mi, traced, positions, mesh.normals, faces, origin)
-<<<<<<< HEAD
-    known = replace(mesh, albedo=albedo, known_albedo=False)
-    return ReceivingShape(traced, known, triangles, shape.is_emitter(), texture_lost=lost)
-=======
     return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles, lost, shape.is_emitter())
->>>>>>> receivers
 
 
 def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> NDArray[np.float32]:

@@ -203,14 +203,9 @@ class _Sorter:
             member = name.rsplit("/", 1)[-1]
             made = [placed(mi, receiving, instance, f"{instance.name}/{member}") for instance in candidate.instances]
         area = sum(float(face_areas(shape.mesh.positions, shape.mesh.faces).sum()) for shape in made)
-<<<<<<< HEAD
-        told = result.outcomes[candidate.outcome]
-        result.outcomes[candidate.outcome] = told._replace(area=area, sides=1, texture_lost=receiving.texture_lost)
-=======
         result.outcomes[candidate.outcome] = result.outcomes[candidate.outcome]._replace(
             area=area, sides=1, texture_lost=receiving.texture_lost
         )
->>>>>>> receivers
         result.receiving.extend(made)
         result.of_outcome.extend([candidate.outcome] * len(made))
 
