@@ -21,6 +21,9 @@ _FOUND = 0.97
 _FARTHEST = 0.3
 _MARGIN = 1.5
 
+# Surfaces of other shapes that are looked behind for that of a part.
+_LAYERS = 4
+
 # What rounding moves a point by, in units of the last place of the largest coordinate.
 _ROUNDING = 64.0
 
@@ -75,17 +78,18 @@ def find_reaches(
     edges = [edge for _, _, edge in probes]
     farthest = [max(0.0 if one.flat else _FARTHEST * edge, rounding) for one, edge in zip(placed, edges, strict=True)]
     counts = [len(middles) for middles, _, _ in probes]
-    distance = _distances(
-        mi, scene,
-        np.concatenate([middles for middles, _, _ in probes]), np.concatenate([normals for _, normals, _ in probes]),
-        np.repeat(farthest, counts), rounding,
+    own_shape = np.repeat([_number(mi, one.shape) for one in placed], counts)
+    middles, normals = (np.concatenate([arrays[i] for arrays in probes]) for i in (0, 1))
+    any_surface, own_surface = _distances(
+        mi, scene, middles, normals, np.repeat(farthest, counts), own_shape, rounding
     )  # fmt: skip
     reached = []
-    for one, own, limit in zip(placed, np.split(distance, np.cumsum(counts)[:-1]), farthest, strict=True):
-        found = own[own <= limit]
-        if own.size and found.size < _FOUND * own.size:
+    ends = np.cumsum(counts)[:-1]
+    for one, some, own in zip(placed, np.split(any_surface, ends), np.split(own_surface, ends), strict=True):
+        # Where two shapes touch, either may be met.
+        if some.size and np.mean(np.isfinite(some)) < _FOUND:
             raise UserError(_not_there(scene, one, file))
-        reached.append(replace(one, reach=rounding + _MARGIN * float(found.max(initial=0.0))))
+        reached.append(replace(one, reach=rounding + _MARGIN * float(own[np.isfinite(own)].max(initial=0.0))))
     return tuple(reached)
 
 
@@ -104,18 +108,41 @@ def _probes(positions: NDArray[np.float64], faces: NDArray) -> tuple[NDArray, ND
 
 
 def _distances(
-    mi: Any, scene: Any, middles: NDArray, normals: NDArray, farthest: NDArray, rounding: float
-) -> NDArray[np.float64]:
-    """(n,) how far the scene's surface is from points along normals to either side; infinite beyond ``farthest``."""
-    nearest = np.full(len(middles), np.inf)
+    mi: Any, scene: Any, middles: NDArray, normals: NDArray, farthest: NDArray, own: NDArray, rounding: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How far the scene's surface is from points along normals to either side, infinite beyond ``farthest``.
+
+    Returns
+    -------
+    (n,), (n,)
+        To any shape, and to that whose number in Mitsuba's registry is ``own`` (n,), which is any where it is 0.
+    """
+    import drjit as dr
+
+    to_any, to_own = np.full(len(middles), np.inf), np.full(len(middles), np.inf)
     for side in (1.0, -1.0):
-        start, along = middles - side * rounding * normals, side * normals
-        ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(along.T.astype(np.float32)))
-        ray.maxt = mi.Float((farthest + 2.0 * rounding).astype(np.float32))
-        hit = scene.ray_intersect_preliminary(ray, coherent=False)
-        met = np.array(hit.is_valid())
-        nearest = np.where(met, np.minimum(nearest, np.abs(np.array(hit.t, dtype=np.float64) - rounding)), nearest)
-    return nearest
+        along, begin = mi.Vector3f((side * normals).T.astype(np.float32)), np.full(len(middles), -rounding)
+        for _ in range(_LAYERS):
+            start = middles + side * begin[:, None] * normals
+            ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), along)
+            ray.maxt = mi.Float(np.maximum(farthest + rounding - begin, 0.0).astype(np.float32))
+            hit = scene.ray_intersect_preliminary(ray, coherent=False)
+            met = np.array(hit.is_valid())
+            distance = np.where(met, np.abs(begin + np.array(hit.t, dtype=np.float64)), np.inf)
+            is_own = (own == 0) | (np.array(dr.reinterpret_array(mi.UInt32, hit.shape)) == own)
+            to_any, to_own = np.minimum(to_any, distance), np.minimum(to_own, np.where(is_own, distance, np.inf))
+            if np.all(is_own | ~met):
+                break
+            begin = np.where(met & ~is_own, begin + np.array(hit.t, dtype=np.float64) + rounding, np.inf)
+            begin = np.minimum(begin, farthest + rounding)
+    return to_any, to_own
+
+
+def _number(mi: Any, shape: Any) -> int:
+    """Of a shape in Mitsuba's registry; 0 for none."""
+    import drjit as dr
+
+    return 0 if shape is None else int(mi.UInt32(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)))[0])
 
 
 def remeshed(shape: Any, part: Part, file: str) -> str:

@@ -34,7 +34,7 @@ def lamps(mi):
         "point": {"type": "point", "position": [1.0, 1.5, 0.5], "intensity": colour},
         "spot": {"type": "spot", "to_world": aimed, "intensity": colour, "cutoff_angle": 25},
         "directional": {"type": "directional", "direction": [0.5, -1.0, -0.3], "irradiance": colour},
-        "area": {"type": "sphere", "center": [-1.0, 1.6, 0.5], "radius": 0.3,
+        "area": {"type": "sphere", "center": [-1.0, 1.6, -0.5], "radius": 0.6,
                  "emitter": {"type": "area", "radiance": colour}},
     }  # fmt: skip
 
@@ -55,7 +55,7 @@ def lit_floor(mi, file, bsdf=DIFFUSE, **lights):
 def test_light_of_lamps_is_sharp(kind, material, mi, floor):
     """As `path` draws it, shadows and gloss too; the floor sends light only to a ball that reflects none."""
     file, packed = floor
-    bsdf = DIFFUSE if material == "diffuse" else {"type": "roughplastic", "alpha": 0.3}
+    bsdf = DIFFUSE if material == "diffuse" else {"type": "roughplastic", "alpha": 0.2}
     black = {"type": "constant", "radiance": 0.0}  # the file knows nothing of the ball between floor and sky
     lights = {kind: lamps(mi)[kind]} if kind in lamps(mi) else {**lamps(mi), "sky": black}
     scene = lit_floor(mi, file, bsdf, **lights)

@@ -162,6 +162,15 @@ def test_a_sphere_is_held_everywhere(cuts, mi):
     np.testing.assert_allclose(pixels[there], 0.9, atol=2e-3)
 
 
+def test_a_sphere_close_under_another(mi):
+    """Its faces, turned by half of one, come nearer to the outer sphere than some of that one's own."""
+    ball = trimesh.creation.uv_sphere(radius=1.0, count=[8, 16])
+    turned = trimesh.transform_points(ball.vertices, trimesh.transformations.rotation_matrix(np.pi / 32, [0, 0, 1]))
+    packed = file_of(("ball", ball.vertices, ball.faces, 0.9, 1), ("core", 0.998 * turned, ball.faces, 0.3, 1))
+    pixels, places = drawn(mi, packed, {"ball": {"type": "sphere"}, "core": {"type": "sphere", "radius": 0.998}})
+    np.testing.assert_allclose(pixels[inside(np.isfinite(places[..., 0]))], 0.9, atol=2e-3)
+
+
 def test_a_part_that_is_elsewhere(mi, tmp_path):
     packed = file_of(("floor", SQUARE, FACES, 0.9, 1), ("top", SQUARE * 0.5 + [0, 1, 0], FACES, 0.3, 1))
     with pytest.raises(RuntimeError) as caught:
