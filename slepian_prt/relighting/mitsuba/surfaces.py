@@ -135,6 +135,8 @@ class PlacedSurfaces:
         self, mi: Any, placed: Sequence[PlacedPart], positions: NDArray[np.float64], mesh: Mesh, first: int
     ) -> None:
         self._mi, self._first = mi, first
+        # From one surface to what may be the next: beyond what rounding moves it.
+        self._step = 4.0 * float(np.spacing(np.float32(np.abs(positions).max(initial=0.0))))
         faces = [part_faces(mesh.faces, one.part) for one in placed]
         self._scene = _triangle_scene(mi, positions, np.concatenate(faces))
         # Parts by face, and reaches by part; a shape that is known has no other part.
@@ -171,7 +173,7 @@ class PlacedSurfaces:
             nearest, face = dr.select(right, distance, nearest), dr.select(right, met.prim_index, face)
             back = dr.select(right, cosine < 0.0, back)
             u, v = dr.select(right, met.prim_uv.x, u), dr.select(right, met.prim_uv.y, v)
-            depth += 1e-2 * reach
+            depth += self._step
             # What lies farther below than this one above is farther.
             on &= (layers < _LAYERS) & (depth < 2.0 * reach) & (depth - reach < nearest)
             return on, depth, layers + 1, nearest, face, back, u, v
