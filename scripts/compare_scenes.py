@@ -96,7 +96,7 @@ def masks(mi: Any, scene: Any, integrator: Any, width: int, height: int) -> tupl
     place = mi.Point2f(((x + 0.5) / width).astype(np.float32), ((y + 0.5) / height).astype(np.float32))
     ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, place, mi.Point2f(0.5, 0.5))
     shown = np.array(scene.ray_intersect_preliminary(mi.Ray3f(ray)).is_valid()).reshape(height, width)
-    return np.array(integrator.shows_held(scene, ray)).reshape(height, width), shown
+    return np.array(integrator.integrator.meets_held(scene, ray)).reshape(height, width), shown
 
 
 def narrowed(mi: Any, scene: Any, width: int) -> tuple[int, int]:

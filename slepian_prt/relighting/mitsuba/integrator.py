@@ -220,6 +220,15 @@ class SlepianIntegrator:
             L, covered = dr.select(more, L + gathered, L), dr.select(more, through, covered)
         return without_polarization(mi, L), covered, []
 
+    def meets_held(self, scene: Any, ray: Any) -> Any:
+        """Bool, whether rays meet a surface first whose diffuse light the files hold."""
+        mi = self._mi
+        self._bind(scene)
+        active = mi.Bool(True)
+        hit, si = self._first_hit(scene, ray, active)
+        met = active & si.is_valid()
+        return self._lobes.at(si, self._cache.at(ray, hit, si, met), met).held
+
     def _first_hit(self, scene: Any, ray: Any, active: Any) -> tuple[Any, Any]:
         """What rays meet, as PreliminaryIntersection3f and as SurfaceInteraction3f; not differentiated.
 
