@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.projection import Projection
 from slepian_prt.scene.instances import shapes_in
+from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.planned import PlannedScene
 
 
@@ -22,8 +23,7 @@ def fingerprint(planned: PlannedScene, projection: Projection) -> str:
     digest.update(repr(numbers).encode())
     mesh = scene.mesh
     arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
-    instanced = [shape for group in scene.groups for shape in shapes_in(scene.mi, group)]
-    for shape in (*scene.shapes, *instanced):
+    for shape in (*scene.shapes, *instanced_shapes(scene)):
         arrays += shape_arrays(scene.mi, shape)
     arrays += [learned.clusters.index, *(basis.analysis for basis in projection.bases)]
     if learned.pilot is not None and learned.pilot.mean is not None:
@@ -31,6 +31,11 @@ def fingerprint(planned: PlannedScene, projection: Projection) -> str:
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:32]
+
+
+def instanced_shapes(scene: Scene) -> list[Any]:
+    """The shapes that instances among those of a scene stand for."""
+    return [shape for group in scene.groups for shape in shapes_in(scene.mi, group)]
 
 
 def shape_arrays(mi: Any, shape: Any) -> list[NDArray]:

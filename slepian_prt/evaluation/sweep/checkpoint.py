@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slepian_prt.compression.fingerprint import shape_arrays
+from slepian_prt.compression.fingerprint import instanced_shapes, shape_arrays
 from slepian_prt.evaluation.provenance import machine, versions
 from slepian_prt.evaluation.sweep.axes import Setting
 from slepian_prt.evaluation.sweep.results import Point
@@ -76,7 +76,7 @@ def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noi
     digest.update(repr((versions(), machine(), settings, noise)).encode())
     mesh = planned.scene.mesh
     arrays = [mesh.positions, mesh.normals, mesh.faces, mesh.albedo]
-    for shape in planned.scene.occluders:
+    for shape in (*planned.scene.occluders, *instanced_shapes(planned.scene)):
         arrays += shape_arrays(planned.scene.mi, shape)
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
