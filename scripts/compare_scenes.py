@@ -6,10 +6,11 @@ Each .xml file that is a scene goes through `slepian-prt precompute` in a proces
 taken by both integrators. What is said of each scene:
 
     held      part of the picture whose surfaces the transfer file holds
-    error     relative RMS on these pixels, the noise of the reference taken off
+    error     relative RMS on these pixels, the noise of both pictures taken off
     others    the same on all other pixels that show something: mirrors, glass, lamps, what is gathered
-    seconds   of precompute; of our picture; of the reference, which has more samples
-    vertices, bytes of the file
+    noise     of our picture, and of the reference, on held pixels
+    seconds   of precompute; of our picture; of the reference, which has four times the samples
+    bytes     of the file
 
 and below it the rows of the plan, that is what is not simulated or is gathered. With ``-o``, pictures: the path
 tracer's, ours, and half grey plus the difference. It exits with 1 if a scene cannot be precomputed.
@@ -53,41 +54,46 @@ class Comparison:
         Part of the pixels.
     error, others : float
         Relative RMS on held pixels, and on others that show a surface.
-    noise : float
-        Of the reference, on held pixels.
+    noise, reference_noise : float
+        Of our picture and of the reference, on held pixels.
     """
 
     held: float
     error: float
     others: float
     noise: float
+    reference_noise: float
 
 
 def scenes_in(paths: list[Path]) -> Iterator[Path]:
     """The scene files that are named, or stand in folders that are."""
     for path in paths:
         for file in sorted(path.rglob("*.xml")) if path.is_dir() else [path]:
-            if "<scene" in file.read_text(errors="replace") and "<sensor" in file.read_text(errors="replace"):
+            text = file.read_text(errors="replace")
+            if not path.is_dir() or ("<scene" in text and ("<sensor" in text or "<include" in text)):
                 yield file
 
 
-def relative_rms(ours: NDArray, halves: NDArray, chosen: NDArray) -> tuple[float, float]:
-    """Of ours against the mean of two halves (2, H, W, 3) on some pixels, without their noise; and that noise."""
+def relative_rms(ours: NDArray, right: NDArray, chosen: NDArray) -> tuple[float, float, float]:
+    """Between two pictures on some pixels, and their own noise; of both there are two halves (2, H, W, 3)."""
     if not chosen.any():
-        return 0.0, 0.0
-    right, noise = halves.mean(axis=0)[chosen], (0.5 * (halves[0] - halves[1]))[chosen]
-    power = max(float((right**2).sum()), 1e-30)
-    squared = float(((ours[chosen] - right) ** 2).sum()) - float((noise**2).sum())
-    return float(np.sqrt(max(squared, 0.0) / power)), float(np.sqrt((noise**2).sum() / power))
+        return 0.0, 0.0, 0.0
+    power = max(float((right.mean(axis=0)[chosen] ** 2).sum()), 1e-30)
+    noises = [float(((0.5 * (halves[0] - halves[1]))[chosen] ** 2).sum()) for halves in (ours, right)]
+    squared = float(((ours.mean(axis=0) - right.mean(axis=0))[chosen] ** 2).sum()) - sum(noises)
+    error, noise, reference_noise = np.sqrt(np.maximum([squared, *noises], 0.0) / power)
+    return float(error), float(noise), float(reference_noise)
 
 
-def compare(ours: NDArray, halves: NDArray, held: NDArray, shown: NDArray) -> Comparison:
-    """Of one picture and the halves of a reference; ``held`` and ``shown`` say of pixels what they show."""
-    right = halves.mean(axis=0).max(axis=2)
-    usual = right <= _BRIGHTEST * max(float(np.percentile(right[shown], 99.0)), 1e-30) if shown.any() else shown
-    error, noise = relative_rms(ours, halves, held & usual)
-    others, _ = relative_rms(ours, halves, shown & ~held & usual)
-    return Comparison(float(held.mean()), error, others, noise)
+def compare(ours: NDArray, right: NDArray, held: NDArray, shown: NDArray) -> Comparison:
+    """Of two pictures, two halves each; ``held`` and ``shown`` say of pixels what they show."""
+    brightness = right.mean(axis=0).max(axis=2)
+    usual = shown
+    if shown.any():
+        usual = brightness <= _BRIGHTEST * max(float(np.percentile(brightness[shown], 99.0)), 1e-30)
+    error, noise, reference_noise = relative_rms(ours, right, held & usual)
+    others, _, _ = relative_rms(ours, right, shown & ~held & usual)
+    return Comparison(float(held.mean()), error, others, noise, reference_noise)
 
 
 def masks(mi: Any, scene: Any, integrator: Any, width: int, height: int) -> tuple[NDArray, NDArray]:
@@ -112,7 +118,7 @@ def narrowed(mi: Any, scene: Any, width: int) -> tuple[int, int]:
 
 
 def draw(mi: Any, file: Path, transfer: Path, options: argparse.Namespace) -> tuple[NDArray, NDArray, Any, list[float]]:
-    """Our picture, halves of the reference, masks, and seconds of both."""
+    """Halves of our picture and of the reference, masks, and seconds of both."""
     scene = mi.load_file(str(file))
     width, height = narrowed(mi, scene, options.width)
     integrator = scene_integrator(mi, load(transfer))
@@ -123,11 +129,11 @@ def draw(mi: Any, file: Path, transfer: Path, options: argparse.Namespace) -> tu
         return np.array(mi.render(scene, integrator=drawer, spp=samples, seed=seed), dtype=np.float64)[..., :3]
 
     started = time.perf_counter()
-    ours = picture(integrator, options.spp, 1)
+    ours = np.stack([picture(integrator, options.spp, seed) for seed in (0, 1)])
     between = time.perf_counter()
-    halves = np.stack([picture(path, 4 * options.spp, seed) for seed in (2, 3)])
+    right = np.stack([picture(path, 4 * options.spp, seed) for seed in (2, 3)])
     seconds = [between - started, time.perf_counter() - between]
-    return ours, halves, masks(mi, scene, integrator, width, height), seconds
+    return ours, right, masks(mi, scene, integrator, width, height), seconds
 
 
 def precompute(file: Path, transfer: Path, options: argparse.Namespace) -> tuple[int, list[str], float]:
@@ -141,11 +147,10 @@ def precompute(file: Path, transfer: Path, options: argparse.Namespace) -> tuple
     return done.returncode, (done.stdout + done.stderr).strip().splitlines(), time.perf_counter() - started
 
 
-def write_strip(path: Path, ours: NDArray, halves: NDArray, shown: NDArray) -> None:
+def write_strip(path: Path, ours: NDArray, right: NDArray, shown: NDArray) -> None:
     """The reference, ours, and their difference about grey, side by side."""
     from PIL import Image
 
-    right = halves.mean(axis=0)
     level = float(np.percentile(right[shown].max(axis=1), 95.0)) if shown.any() else float(right.max())
     scale = 0.85 / max(level, 1e-30)
     strip = np.hstack([right, ours, 0.5 / scale + (ours - right)])
@@ -178,16 +183,19 @@ def main() -> int:
                 failed += 1
                 print(f"    exit {status}: {said[-1] if said else ''}", flush=True)
                 continue
-            ours, halves, (held, shown), (own, reference) = draw(mi, file, transfer, options)
-            found = compare(ours, halves, held, shown)
+            ours, right, (held, shown), (own, reference) = draw(mi, file, transfer, options)
+            found = compare(ours, right, held, shown)
             size = transfer.stat().st_size
         print(
-            f"    held {found.held:.0%}, error {found.error:.3f}, others {found.others:.3f}, noise {found.noise:.3f}; "
-            f"{seconds:.1f} s, {own:.1f} s, {reference:.1f} s; {size} bytes"
+            f"    held {found.held:.0%}, error {found.error:.3f}, others {found.others:.3f}, "
+            f"noise {found.noise:.3f} and {found.reference_noise:.3f}; {seconds:.1f} s, {own:.1f} s, {reference:.1f} s; "
+            f"{size} bytes"
         )
         print("\n".join(f"    {line}" for line in said), flush=True)
         if options.output:
-            write_strip(options.output / f"{file.parent.name}-{file.stem}.png", ours, halves, shown)
+            write_strip(
+                options.output / f"{file.parent.name}-{file.stem}.png", ours.mean(axis=0), right.mean(axis=0), shown
+            )
     return 1 if failed else 0
 
 
