@@ -188,8 +188,8 @@ def main() -> int:
             size = transfer.stat().st_size
         print(
             f"    held {found.held:.0%}, error {found.error:.3f}, others {found.others:.3f}, "
-            f"noise {found.noise:.3f} and {found.reference_noise:.3f}; {seconds:.1f} s, {own:.1f} s, {reference:.1f} s; "
-            f"{size} bytes"
+            f"noise {found.noise:.3f} and {found.reference_noise:.3f}; "
+            f"{seconds:.1f} s, {own:.1f} s, {reference:.1f} s; {size} bytes"
         )
         print("\n".join(f"    {line}" for line in said), flush=True)
         if options.output:
