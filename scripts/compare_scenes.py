@@ -35,9 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.prt_file import load
+from slepian_prt.relighting.drawing.pictures import Picture, to_srgb
 from slepian_prt.relighting.mitsuba.integrator import register
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
-from slepian_prt.relighting.pictures import Picture, to_srgb
 from slepian_prt.renderer.variants import imported_mitsuba, usable_variant
 
 # Pixels of the reference brighter than so many times its 99th percentile are lamps and fireflies: they say nothing.

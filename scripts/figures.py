@@ -25,8 +25,8 @@ from slepian_prt.evaluation.sweep.axes import Axes
 from slepian_prt.evaluation.sweep.report import front_context
 from slepian_prt.evaluation.sweep.run import sweep
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.relighting.camera import trace_camera
-from slepian_prt.relighting.pictures import exposure, to_srgb
+from slepian_prt.relighting.drawing.camera import trace_camera
+from slepian_prt.relighting.drawing.pictures import exposure, to_srgb
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.transport.settings import TransportSettings
 

@@ -12,10 +12,10 @@ from .lighting.environment import read_environment as read_environment
 from .lighting.projection import project_environment as project_environment
 from .lighting.spectrum import falling_prior as falling_prior
 from .lighting.spectrum import measured_prior as measured_prior
+from .relighting.drawing.render import render_picture as render_picture
+from .relighting.drawing.render import save_picture as save_picture
 from .relighting.mitsuba.integrator import register as register
 from .relighting.relight import relight as relight
-from .relighting.render import render_picture as render_picture
-from .relighting.render import save_picture as save_picture
 from .scene.mesh import Mesh as Mesh
 from .scene.mesh import make_mesh as make_mesh
 from .scene.mesh_files import read_mesh as read_mesh

@@ -74,7 +74,7 @@ def compare(
     from slepian_prt.evaluation.compare import compare as run
     from slepian_prt.evaluation.methods import DEFAULT_METHODS, DEFAULT_TERMS, METHODS, check_methods
     from slepian_prt.evaluation.report import check_report, write_report
-    from slepian_prt.relighting.pictures import Finish
+    from slepian_prt.relighting.drawing.pictures import Finish
     from slepian_prt.scene.view import Aim
     from slepian_prt.transport.settings import TransportSettings
 

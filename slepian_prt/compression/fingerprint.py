@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.projection import Projection
-from slepian_prt.scene.instances import shapes_in
+from slepian_prt.scene.mitsuba.instances import shapes_in
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.planned import PlannedScene
 

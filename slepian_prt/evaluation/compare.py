@@ -28,9 +28,9 @@ from slepian_prt.evaluation.metrics import relative_rms, seam
 from slepian_prt.evaluation.reference import render_reference, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
-from slepian_prt.relighting.backdrop import draw_backdrop
-from slepian_prt.relighting.camera import Camera, aim_camera, trace_camera
-from slepian_prt.relighting.pictures import MAP, Finish
+from slepian_prt.relighting.drawing.backdrop import draw_backdrop
+from slepian_prt.relighting.drawing.camera import Camera, aim_camera, trace_camera
+from slepian_prt.relighting.drawing.pictures import MAP, Finish
 from slepian_prt.relighting.relight import negative_fraction, relight
 from slepian_prt.scene.scene import Scene
 from slepian_prt.scene.sensors import DEFAULT_WIDTH

@@ -13,7 +13,7 @@ from slepian_prt.evaluation.ladder import StageError
 from slepian_prt.evaluation.provenance import versions
 from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.relighting.pictures import Finish, Picture
+from slepian_prt.relighting.drawing.pictures import Finish, Picture
 from slepian_prt.transport.transfer import Transfer
 
 

@@ -14,7 +14,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError, check_choice
 from slepian_prt.evaluation.plots import finish_axis, scale_abscissa
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.relighting.render import render_picture
+from slepian_prt.relighting.drawing.render import render_picture
 from slepian_prt.slepian.concentration import CapBasis
 from slepian_prt.slepian.region_concentration import RegionBasis
 from slepian_prt.transport.transfer import Transfer

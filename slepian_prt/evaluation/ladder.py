@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.evaluation.metrics import Deviation, deviation, flip, picture_deviation, relative_mse
-from slepian_prt.relighting.camera import Camera
-from slepian_prt.relighting.pictures import Picture, exposure
+from slepian_prt.relighting.drawing.camera import Camera
+from slepian_prt.relighting.drawing.pictures import Picture, exposure
 
 IN_PICTURE = "path-traced picture"
 AT_VERTICES = "radiance at the vertices"

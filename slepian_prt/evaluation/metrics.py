@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.relighting.pictures import Picture, to_srgb
+from slepian_prt.relighting.drawing.pictures import Picture, to_srgb
 
 # Relative squared errors are not divided by less than this part of the mean square of the reference.
 _DARK = 0.01

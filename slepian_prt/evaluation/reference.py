@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.lighting.emitters import environment_emitter
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.relighting.pictures import Picture, split_alpha
+from slepian_prt.relighting.drawing.pictures import Picture, split_alpha
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import View

@@ -14,7 +14,7 @@ from slepian_prt.evaluation.comparison import Comparison, View
 from slepian_prt.evaluation.ladder import NO_BANDLIMIT
 from slepian_prt.evaluation.metrics import error_map
 from slepian_prt.evaluation.plots import percent
-from slepian_prt.relighting.pictures import TRANSPARENT, Finish, Picture, display, exposure, to_srgb
+from slepian_prt.relighting.drawing.pictures import TRANSPARENT, Finish, Picture, display, exposure, to_srgb
 
 # The end of the colour scale of error maps, relative to the mean luminance.
 ERROR_SCALE = 0.25

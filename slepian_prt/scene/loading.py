@@ -18,13 +18,13 @@ from slepian_prt.files import check_readable
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
-from slepian_prt.scene.mitsuba_files import load_dict, load_xml, silent
-from slepian_prt.scene.mitsuba_objects import is_of_mitsuba, left_usable, parts_of, scene_of, variant_of
-from slepian_prt.scene.mitsuba_scenes import scene_from_mitsuba
-from slepian_prt.scene.parameters import scene_parameters
-from slepian_prt.scene.recentering import coarse_receivers
+from slepian_prt.scene.mitsuba.files import load_dict, load_xml, silent
+from slepian_prt.scene.mitsuba.objects import is_of_mitsuba, left_usable, parts_of, scene_of, variant_of
+from slepian_prt.scene.mitsuba.parameters import scene_parameters
+from slepian_prt.scene.mitsuba.recentering import coarse_receivers
+from slepian_prt.scene.mitsuba.scenes import scene_from_mitsuba
+from slepian_prt.scene.mitsuba.shapes import mitsuba_mesh
 from slepian_prt.scene.scene import Part, Scene
-from slepian_prt.scene.shapes import mitsuba_mesh
 from slepian_prt.scene.trimesh_objects import is_of_trimesh, mesh_from_trimesh
 
 if TYPE_CHECKING:

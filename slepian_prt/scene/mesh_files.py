@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_readable
-from slepian_prt.scene.albedo import decode_textures, effects_left_out, vertex_albedo
 from slepian_prt.scene.formats.gltf import read_gltf
 from slepian_prt.scene.formats.obj import read_obj
 from slepian_prt.scene.formats.off import read_off
@@ -21,6 +20,7 @@ from slepian_prt.scene.formats.ply import read_ply
 from slepian_prt.scene.formats.stl import read_stl
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh, MeshDetails, check_faces, check_geometry, complete_mesh
+from slepian_prt.scene.reflectance.albedo import decode_textures, effects_left_out, vertex_albedo
 
 log = logging.getLogger(__name__)
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.scene.ids import load_keeping_ids
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.mitsuba.ids import load_keeping_ids
 from slepian_prt.scene.piercing import find_pierced
 from slepian_prt.scene.ray_origins import RayOrigins, find_ray_origins
 from slepian_prt.scene.receivers import Receivers

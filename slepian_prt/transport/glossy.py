@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.materials import surface_points
 from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.reflectance.materials import surface_points
 from slepian_prt.scene.scene import Scene
 from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from slepian_prt.errors import check_bandlimit, check_integer
 from slepian_prt.scene.mesh_files import check_crease_angle
-from slepian_prt.scene.parameters import scene_parameters
+from slepian_prt.scene.mitsuba.parameters import scene_parameters
 from slepian_prt.transport.effects import wanted_effects
 
 LARGEST_BANDLIMIT = 50

@@ -14,7 +14,7 @@ from slepian_prt.evaluation.sweep.axes import Setting
 from slepian_prt.evaluation.sweep.results import Point, Sweep
 from slepian_prt.files import check_folder
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.relighting.pictures import Picture
+from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy
 

@@ -3,7 +3,7 @@ import pytest
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.evaluation.forecast import Forecast, _Line, _rounds, forecast
 from slepian_prt.lighting.environment import make_environment
-from slepian_prt.relighting.camera import aim_camera
+from slepian_prt.relighting.drawing.camera import aim_camera
 from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy

@@ -3,8 +3,8 @@ import pytest
 
 from slepian_prt.evaluation.ladder import AT_VERTICES, IN_PICTURE, Stage, measure_stages
 from slepian_prt.evaluation.metrics import deviation, flip, picture_deviation, relative_mse, relative_rms
-from slepian_prt.relighting.camera import trace_camera
-from slepian_prt.relighting.pictures import Picture
+from slepian_prt.relighting.drawing.camera import trace_camera
+from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.scene.loading import open_scene
 from tests.conftest import bumpy
 

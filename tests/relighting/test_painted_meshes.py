@@ -9,14 +9,14 @@ import pytest
 import trimesh
 from PIL import Image
 
-from slepian_prt.relighting.coloured_mesh import write_textured_ply
-from slepian_prt.relighting.glb_file import write_glb
-from slepian_prt.relighting.painted_mesh import paint_mesh
+from slepian_prt.relighting.files.coloured_mesh import write_textured_ply
+from slepian_prt.relighting.files.glb_file import write_glb
+from slepian_prt.relighting.files.painted_mesh import paint_mesh
 from slepian_prt.scene.formats.parts import Texture
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.scene.mesh_files import read_mesh, read_parts
+from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
-from slepian_prt.scene.surface_detail import SurfaceDetail
 from tests.conftest import sphere
 from tests.numerics import assert_exact
 
@@ -228,7 +228,7 @@ def test_a_texture_that_is_there_under_that_name_stays(tmp_path, rng):
 
 @pytest.mark.parametrize("mode", ["I;16", "CMYK", "P"])
 def test_any_image_becomes_one_that_viewers_read(tmp_path, mode):
-    from slepian_prt.scene.textures import encoded_image
+    from slepian_prt.scene.reflectance.textures import encoded_image
 
     stream = io.BytesIO()
     if mode == "I;16":

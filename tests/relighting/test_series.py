@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.projection import project_environment
-from slepian_prt.relighting import films, outputs
+from slepian_prt.relighting.files import films, outputs
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.series import Lights, relight_series
 from slepian_prt.transport.transfer import precompute

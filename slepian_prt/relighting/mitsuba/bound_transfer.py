@@ -15,7 +15,7 @@ from slepian_prt.relighting.mitsuba.lobes import PLAIN, material_kind
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
-from slepian_prt.scene.materials import diffuse_reflectance
+from slepian_prt.scene.reflectance.materials import diffuse_reflectance
 
 # Warned of: mean reflectance of a material below this, where the file knows none; fraction of negative vertices above.
 _ALL_REFLECTED = 0.99

@@ -1,0 +1,198 @@
+"""How pictures of a transfer file are drawn: with its scene or textures where they can be found, else from it alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import UserError
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.fixed_lights import lamp_scales
+from slepian_prt.relighting.drawing.camera import relit_camera
+from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scale_lamps, scene_camera
+from slepian_prt.relighting.drawing.scene_source import Source, find_source, missing_in_picture, open_source
+from slepian_prt.relighting.drawing.shots import Drawing, SceneDrawing, VertexDrawing
+from slepian_prt.relighting.operator import transfer_operator
+from slepian_prt.relighting.relight import relight
+from slepian_prt.scene.view import Aim
+from slepian_prt.transport.transfer import Transfer
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """What a model is drawn under, B lights.
+
+    Attributes
+    ----------
+    lighting : (B, 3, (L+1)²)
+        Coefficients, in the world of the file.
+    radiance : (B, V, 3) float32
+        Of the vertices under them.
+    fixed_lights : number, or mapping of names to numbers
+        What the light of the scene's lamps is multiplied by.
+    environments : callable
+        Gives the maps that the lights are of, as they stand; called where they are to be seen. It gives nothing for
+        light that is only coefficients.
+    own_turns : sequence of (3, 3), or None
+        Rotations, if the light is the scene's own.
+    """
+
+    lighting: NDArray[np.float64]
+    radiance: NDArray[np.float32]
+    fixed_lights: float | Mapping[str, float] = 1.0
+    environments: Callable[[], Sequence[Environment]] = tuple
+    own_turns: Sequence[NDArray[np.float64]] | None = None
+
+
+@dataclass(frozen=True)
+class Taking:
+    """How pictures are taken.
+
+    Attributes
+    ----------
+    width : int or None
+        In pixels.
+    aim : Aim
+        Of the camera.
+    scene : path or None
+        The scene or mesh file that the transfer was made from, where it is not where it was.
+    spp : int or None
+        Samples of each pixel, where the scene is gathered; None for as many as the noise asks for.
+    """
+
+    width: int | None = None
+    aim: Aim = field(default_factory=Aim)
+    scene: str | Path | None = None
+    spp: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.spp is not None and not 1 <= self.spp <= _MOST_SAMPLES:
+            raise UserError(f"spp must be between 1 and {_MOST_SAMPLES} samples of each pixel, not {self.spp}")
+
+
+_MOST_SAMPLES = 65536
+
+# Of a picture where the scene has no camera, in pixels.
+_WIDTH = 800
+
+
+def open_drawing(
+    mi: Any,
+    packed: Transfer | CompressedTransfer,
+    lit: Lit,
+    taking: Taking,
+    file: str | Path | None = None,
+    report: Callable[[str], None] = lambda _: None,
+) -> Drawing:
+    """Pictures of a model, usable as long as Mitsuba keeps its variant.
+
+    Parameters
+    ----------
+    mi : Mitsuba
+    packed : Transfer or CompressedTransfer
+    lit : Lit
+    taking : Taking
+    file : path, optional
+        Of the transfer, beside which its scene is looked for.
+    report : callable
+        Given a line about what the pictures lack.
+
+    Raises
+    ------
+    UserError
+        A scene that is named and cannot be used, or a view that cannot be taken.
+    """
+    source = locate_source(mi, packed, taking.scene, file, report)
+    if source.scene is not None and isinstance(packed, CompressedTransfer):
+        drawing = _scene_drawing(mi, packed, lit, taking, source, report)
+        try:
+            drawing.picture(0)
+            return drawing
+        except UserError as error:  # the scene is another one now
+            if taking.scene is not None:
+                raise
+            report(f"{error}; until then pictures are drawn from the file alone")
+    camera = relit_camera(packed, taking.width, taking.aim, source.detail)
+    return VertexDrawing(
+        camera, white_radiance(packed, lit.lighting, lit.fixed_lights) if camera.is_textured else lit.radiance
+    )
+
+
+def locate_source(
+    mi: Any,
+    packed: Transfer | CompressedTransfer,
+    scene: str | Path | None,
+    file: str | Path | None,
+    report: Callable[[str], None],
+) -> Source:
+    """What the transfer was made from, with a remark where it is wanted and cannot be had.
+
+    Raises
+    ------
+    UserError
+        It is named and cannot be used.
+    """
+    if packed.toward_view:  # the reflectance is in the transfer
+        return Source()
+    path = find_source(packed, file, scene)
+    if path is None:
+        _report_missing(packed, report)
+        return Source()
+    try:
+        return open_source(mi, packed, path)
+    except UserError as error:
+        if scene is not None:
+            raise
+        report(f"{error}; until then its colours are drawn as the vertices have them")
+        return Source()
+
+
+def _report_missing(packed: Transfer | CompressedTransfer, report: Callable[[str], None]) -> None:
+    lacking = missing_in_picture(packed)
+    if packed.source and lacking:
+        shown = "; ".join(lacking[:3]) + ("; …" if len(lacking) > 3 else "")
+        report(
+            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name its `scene`"
+        )
+
+
+def _scene_drawing(
+    mi: Any,
+    packed: CompressedTransfer,
+    lit: Lit,
+    taking: Taking,
+    source: Source,
+    report: Callable[[str], None],
+) -> SceneDrawing:
+    assert source.origin is not None
+    scale_lamps(mi, source.scene, lit.fixed_lights)
+    camera = scene_camera(mi, packed, source.scene, source.origin, taking.width or _WIDTH, taking.aim)
+    camera = replace(camera, samples=taking.spp)
+    environments: list[Environment | None] = list(lit.environments()) or [None] * len(lit.lighting)
+    if lit.own_turns is not None:
+        own = own_environment(mi, source.scene, str(source.path))
+        if own is not None:
+            environments = [replace(own, to_world=turn @ own.to_world) for turn in lit.own_turns]
+    lights = tuple(Light(one, shown) for one, shown in zip(lit.lighting, environments, strict=True))
+    return SceneDrawing(camera, lights, report)
+
+
+def white_radiance(
+    transfer: Transfer | CompressedTransfer,
+    lighting: NDArray[np.float64],
+    fixed_lights: float | Mapping[str, float] = 1.0,
+) -> NDArray[np.float32]:
+    """(B, V, 3) radiance that receivers of unit albedo would send back, under lights (B, 3, (L+1)²) and the lamps."""
+    if not isinstance(transfer, CompressedTransfer):
+        white = replace(transfer.mesh, albedo=np.ones_like(transfer.mesh.albedo))
+        return relight(replace(transfer, mesh=white), lighting, fixed_lights=fixed_lights)
+    radiance = transfer_operator(transfer).apply(lighting)
+    if transfer.fixed is not None:
+        radiance += transfer.fixed.radiance(lamp_scales(transfer.fixed, fixed_lights))
+    return radiance

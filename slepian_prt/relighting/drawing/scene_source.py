@@ -1,0 +1,112 @@
+"""What a transfer file was made from, where it can be found: its scene or textures, which pictures are drawn with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import UserError
+from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
+from slepian_prt.scene.mitsuba.files import load_xml
+from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail, read_surface_detail
+from slepian_prt.transport.transfer import Transfer
+
+# Parameters of a BSDF that reflects one colour diffusely, by its class.
+_PLAIN = {
+    "SmoothDiffuse": {"reflectance.value"},
+    "TwoSidedBRDF": {"brdf_0.reflectance.value", "brdf_1.reflectance.value"},
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What pictures are drawn with beside the transfer.
+
+    Attributes
+    ----------
+    path : Path or None
+    detail : SurfaceDetail or None
+        Textures of a mesh file.
+    scene : Mitsuba scene or None
+        As its author has it, where its materials or lamps call for gathering; in the variant that was set.
+    origin : (3,)
+        The point of the world that is the origin of ``scene``.
+    """
+
+    path: Path | None = None
+    detail: SurfaceDetail | None = None
+    scene: Any = None
+    origin: NDArray[np.float64] | None = None
+
+
+def find_source(
+    packed: Transfer | CompressedTransfer, file: str | Path | None, scene: str | Path | None
+) -> Path | None:
+    """The file that transfer was made from: the one that is named, or where its own says, or beside it.
+
+    Raises
+    ------
+    UserError
+        The file that is named is not there.
+    """
+    if scene is not None:
+        if not Path(scene).is_file():
+            raise UserError(f"{scene}: no such file; check the path of `scene`")
+        return Path(scene)
+    if not packed.source:
+        return None
+    given = Path(packed.source)
+    beside = [] if file is None else [Path(file).parent / given, Path(file).parent / given.name]
+    return next((path for path in (given, *beside) if path.is_file()), None)
+
+
+def open_source(mi: Any, packed: Transfer | CompressedTransfer, path: Path) -> Source:
+    """The textures of a mesh file, or a scene whose materials or lamps call for more than vertices hold.
+
+    Raises
+    ------
+    UserError
+        It cannot be loaded, or is another model now.
+    """
+    if path.suffix.lower() != ".xml":
+        return Source(path, detail=read_surface_detail(path, packed.mesh))
+    if not isinstance(packed, CompressedTransfer):
+        return Source(path)
+    loaded, origin = load_xml(mi, path)
+    if not calls_for_gathering(loaded, packed):
+        return Source(path)
+    return Source(path, scene=loaded, origin=origin)
+
+
+def calls_for_gathering(loaded: Any, packed: CompressedTransfer) -> bool:
+    """Whether a Mitsuba scene has lamps, textures, gloss, or shapes that the file does not hold."""
+    if any(not emitter.is_environment() for emitter in loaded.emitters()):
+        return True
+    held = {part.name for part in packed.parts}
+    names = [shape.id() or f"shape_{index}" for index, shape in enumerate(loaded.shapes())]
+    return any(
+        name not in held or not is_plain(shape.bsdf()) for name, shape in zip(names, loaded.shapes(), strict=True)
+    )
+
+
+def is_plain(bsdf: Any) -> bool:
+    """Whether a BSDF reflects one colour, diffusely, and does nothing else."""
+    from slepian_prt.renderer.variants import imported_mitsuba
+
+    if bsdf is None:
+        return False
+    known = _PLAIN.get(bsdf.class_name())
+    return known is not None and {name for name, _ in imported_mitsuba().traverse(bsdf)} <= known
+
+
+def missing_in_picture(packed: Transfer | CompressedTransfer) -> tuple[str, ...]:
+    """What pictures lack that are drawn from the file alone: the rows of its plan that its scene's pictures gather."""
+    effects = packed.effects
+    gathered = tuple(row.name for row in effects if row.verdict == GATHERED)
+    # Files of before had one word for all that is left out.
+    return gathered or tuple(row.name for row in effects if row.verdict == NOT_SIMULATED)

@@ -1,0 +1,114 @@
+"""Meshes with a colour at each vertex, as binary ``.ply``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.files import atomic_output
+from slepian_prt.relighting.drawing.pictures import encode_srgb
+from slepian_prt.relighting.files.painted_mesh import PaintedMesh
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.reflectance.textures import encoded_image
+
+# Rounding of a position, relative to the size of the model, from which on float32 does not hold it: that of a model
+# beside the origin is a twentieth of it, that of a georeferenced one thousands of times as large.
+_MOVED = 1e-6
+
+_NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
+
+
+class TextureOf(NamedTuple):
+    """The texture of a whole mesh.
+
+    Attributes
+    ----------
+    file : str
+        Name of the image, beside the mesh.
+    uv : (V, 2)
+        v up, as readers of ``.ply`` have it.
+    """
+
+    file: str
+    uv: NDArray[np.float64]
+
+
+def write_ply(path: str | Path, mesh: Mesh, colours: NDArray[np.uint8], texture: TextureOf | None = None) -> None:
+    """Write a mesh with normals and sRGB colours (V, 3), complete or not at all.
+
+    Positions are float, or double where float would move them by more than a millionth of the model's size. Texture
+    coordinates are ``s`` and ``t``, which Blender, trimesh, Mitsuba and PyMeshLab read.
+    """
+    real = "f4" if fits_float32(mesh) else "f8"
+    kinds = {
+        **dict.fromkeys(("x", "y", "z"), real),
+        **dict.fromkeys(("nx", "ny", "nz"), "f4"),
+        **dict.fromkeys(("red", "green", "blue", "alpha"), "u1"),
+        **dict.fromkeys(("s", "t") if texture else (), "f4"),
+    }
+    vertices = np.empty(len(mesh.positions), dtype=[(name, f"<{kind}") for name, kind in kinds.items()])
+    columns = np.hstack([mesh.positions, mesh.normals, colours, np.full((len(colours), 1), 255)])
+    if texture:
+        columns = np.hstack([columns, texture.uv])
+    for name, values in zip(kinds, columns.T, strict=True):
+        vertices[name] = values
+    faces = np.empty(len(mesh.faces), dtype=[("corners", "u1"), ("indices", "<i4", 3)])
+    faces["corners"], faces["indices"] = 3, mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment slepian_prt",
+        *([f"comment TextureFile {texture.file}"] if texture else []),
+        f"element vertex {len(vertices)}",
+        *(f"property {_NAMES[kind]} {name}" for name, kind in kinds.items()),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    with atomic_output(path) as file:
+        file.write(("\n".join(header) + "\n").encode())
+        file.write(vertices.tobytes())
+        file.write(faces.tobytes())
+
+
+def write_textured_ply(path: str | Path, painted: PaintedMesh) -> None:
+    """Write a mesh, and beside it the texture that all of it has, as ``…_texture.png`` or ``.jpg``."""
+    texture = painted.pieces[0].texture
+    assert texture is not None
+    path, mesh = Path(path), painted.mesh
+    content, suffix = encoded_image(texture)
+    image = path.with_name(f"{path.stem}_texture{suffix}")
+    counts = [len(piece.vertices) for piece in painted.pieces]
+    starts = np.cumsum(counts) - counts
+    vertices = np.concatenate([piece.vertices for piece in painted.pieces])
+    faces = np.concatenate([piece.faces + start for piece, start in zip(painted.pieces, starts, strict=True)])
+    uv = np.concatenate([piece.uv for piece in painted.pieces if piece.uv is not None]).astype(np.float64)
+    colors = encode_srgb(np.concatenate([piece.colors for piece in painted.pieces]))
+    split = replace(
+        mesh,
+        positions=mesh.positions[vertices],
+        normals=mesh.normals[vertices],
+        faces=faces.astype(np.int32),
+        albedo=mesh.albedo[vertices],
+    )
+    own = texture.source
+    if not (isinstance(own, Path) and image.is_file() and image.samefile(own)):
+        with atomic_output(image) as file:
+            file.write(content)
+    place = TextureOf(image.name, np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]))
+    write_ply(path, split, (np.clip(colors, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), place)
+
+
+def fits_float32(mesh: Mesh) -> bool:
+    """Whether float32 holds the positions, at the size of what faces use: a stray vertex elsewhere does not count."""
+    positions = mesh.positions[np.any(mesh.normals != 0.0, axis=1)]
+    if len(positions) == 0:
+        return True
+    size = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    with np.errstate(over="ignore"):
+        moved = np.abs(positions.astype(np.float32) - positions).max()
+    return bool(moved <= _MOVED * size)
