@@ -55,6 +55,7 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
     """All but the effects."""
     return {
         "source": packed.source,
+        "parameters": dict(packed.parameters) or None,
         "vertices": len(packed.mesh.positions),
         "faces": len(packed.mesh.faces),
         "bandlimit": packed.bandlimit,

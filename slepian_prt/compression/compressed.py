@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -54,6 +55,8 @@ class CompressedTransfer(Summarised):
     bounces, samples, seed, rays_traced : int
     seconds : dict of str to float
     source : str
+    parameters : dict of str to str
+        What the ``$name`` of an .xml scene stood for.
     lighting : (3, (L+1)²) or None
         Of the scene's own distant light.
     view : View or None
@@ -91,6 +94,7 @@ class CompressedTransfer(Summarised):
     rays_traced: int
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
+    parameters: Mapping[str, object] = field(default_factory=dict)
     lighting: NDArray[np.float64] | None = None
     view: View | None = None
     toward_view: bool = False

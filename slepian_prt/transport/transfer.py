@@ -53,6 +53,8 @@ class Transfer(Summarised):
         Wall-clock time of each stage.
     source : str
         Path of the scene.
+    parameters : dict of str to str
+        What the ``$name`` of an .xml scene stood for.
     environment : Environment or None
         The scene's own distant light.
     view : View or None
@@ -75,6 +77,7 @@ class Transfer(Summarised):
     rays_traced: int
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
+    parameters: Mapping[str, object] = field(default_factory=dict)
     environment: Environment | None = None
     view: View | None = None
     toward_view: bool = False
@@ -244,6 +247,7 @@ def compute_transfer(
         rays_traced=rays,
         seconds=dict(planned.clock.seconds),
         source=scene.path,
+        parameters=dict(settings.parameters or {}),
         environment=scene.environment,
         view=scene.view,
         toward_view=plan.view is not None,

@@ -57,6 +57,7 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
         "format": FORMAT,
         "version": VERSION,
         **{name: getattr(transfer, name) for name in _PLAIN},
+        "parameters": dict(transfer.parameters),
         "name": mesh.name,
         "notes": mesh.notes,
         "known_albedo": mesh.known_albedo,
@@ -144,6 +145,7 @@ def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
         environment=None if light is None else _light(light["name"], light["clamped"], arrays),
         view=None if about["view"] is None else View(**about["view"]),
         fixed=_fixed(about["fixed"], arrays, count) if "fixed" in about else None,
+        parameters=dict(about.get("parameters", {})),
         **{name: about[name] for name in _PLAIN},
     )
 

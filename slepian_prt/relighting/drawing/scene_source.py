@@ -13,6 +13,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.mitsuba.files import load_xml
+from slepian_prt.scene.mitsuba.parameters import scene_parameters
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail, read_surface_detail
 from slepian_prt.transport.transfer import Transfer
 
@@ -77,7 +78,7 @@ def open_source(mi: Any, packed: Transfer | CompressedTransfer, path: Path) -> S
         return Source(path, detail=read_surface_detail(path, packed.mesh))
     if not isinstance(packed, CompressedTransfer):
         return Source(path)
-    loaded, origin = load_xml(mi, path)
+    loaded, origin = load_xml(mi, path, scene_parameters(packed.parameters))
     if not calls_for_gathering(loaded, packed):
         return Source(path)
     return Source(path, scene=loaded, origin=origin)

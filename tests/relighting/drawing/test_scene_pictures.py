@@ -173,6 +173,16 @@ def test_scenes_are_found_beside_the_file(ball, tmp_path):
         assert locate_source(mi, elsewhere, None, None, pytest.fail).path is None
 
 
+def test_a_scene_is_opened_again_with_its_parameters(tmp_path):
+    shown = MIRROR.replace('type="conductor"', 'type="$kind"')
+    source = write_scene(tmp_path / "room.xml", BALL, shown)
+    made = compress(precompute(source, 2, 16, parameters={"kind": "conductor"}), "none")
+    made.save(tmp_path / "room.prt")
+    with mitsuba() as mi:
+        opened = locate_source(mi, sp.load(tmp_path / "room.prt"), None, None, pytest.fail)
+        assert opened.scene.shapes()[1].bsdf().class_name() == "SmoothConductor"
+
+
 def test_what_is_not_found_is_missed_in_one_line(ball):
     rows = [
         ("mirror reflection of material 'Chrome'", "gathered"),
