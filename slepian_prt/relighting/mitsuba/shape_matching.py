@@ -72,13 +72,12 @@ def match_shapes(mi: Any, scene: Any, packed: CompressedTransfer, file: str) -> 
     for part in packed.parts:
         shape = _shape_of(mi, shapes, part, packed)
         own = shape is not None and _has_own_vertices(shape)
-        keeps = own and not shape.has_face_normals()  # faces that are drawn flat have vertices of their own in a file
-        if keeps:
-            anchor = _anchor(mi, shape, part, packed)
-            if anchor is None:
-                raise UserError(remeshed(shape, part, file))
+        anchor = _anchor(mi, shape, part, packed) if own else None
+        if anchor is not None:
             anchors.append(anchor)
-        if keeps and shape.vertex_count() == part.count:
+        elif own and not shape.has_face_normals():  # faces that are drawn flat have vertices of their own in a file
+            raise UserError(remeshed(shape, part, file))
+        if anchor is not None and shape.vertex_count() == part.count:
             meshes.append((shape, part))
         else:
             placed.append(PlacedPart(part, shape, flat=own))

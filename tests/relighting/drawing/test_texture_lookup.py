@@ -95,7 +95,7 @@ def test_a_model_without_textures_has_the_colours_of_its_corners(rng):
 
 
 def test_textures_too_large_to_keep_are_halved(monkeypatch):
-    from slepian_prt.relighting import texture_lookup
+    from slepian_prt.relighting.drawing import texture_lookup
 
     stream = io.BytesIO()
     Image.fromarray(np.full((16, 16, 3), 128, np.uint8)).save(stream, "PNG")

@@ -136,12 +136,12 @@ def test_a_mirror_in_a_group(tmp_path):
         (GROUP + FLOOR + instance("g", '<scale x="0" y="1" z="1"/>', "thin"), "instance 'thin': .* flattens it"),
         (
             f'{GROUP}<shape type="shapegroup" id="h">{instance("g")}</shape>{FLOOR}{instance("h")}',
-            "Nested instancing is not permitted",
+            "an instance may not hold instances",
         ),
         (FLOOR + f'<shape type="instance">{GROUP}</shape>', "Mitsuba cannot load the scene"),
         (
             f'<shape type="shapegroup" id="e"/>{instance("e", "", "i")}{FLOOR}',
-            "instance 'i': its group 'e' has no shapes",
+            "the shapegroup of this instance holds no shapes",
         ),
     ],
     ids=["flat", "nested", "inline", "empty"],
