@@ -24,5 +24,5 @@ class LeftOut(NamedTuple):
 
     name: str
     share: float | None = None
-    reason: str = "only reflection of distant light by diffuse surfaces is simulated"
+    reason: str = "only what diffuse surfaces reflect is simulated"
     verdict: str = NOT_SIMULATED

@@ -21,6 +21,8 @@ log = logging.getLogger(__name__)
 # Lamps that are kept apart, at most; and receivers and samples for each that tell how bright they are.
 MOST_LAMPS = 16
 _PILOT, _PILOT_SAMPLES = 256, 8
+# Lamps that are looked at together then.
+_LAMPS_PER_BLOCK = 512
 # Names of lamps in a row of the plan.
 _NAMED = 4
 # Plugins whose light no sample finds.
@@ -157,8 +159,10 @@ def _reached(scene: Scene, lamps: list[Lamp], receivers: NDArray[np.int64]) -> N
     """(n,) mean radiance of unit albedo, unshadowed."""
     if not lamps:
         return np.zeros(0)
+    places = np.array([lamp.place for lamp in lamps])
+    blocks = np.array_split(places, -(-places.size // _LAMPS_PER_BLOCK))
     try:
-        return unshadowed_means(scene, np.array([lamp.place for lamp in lamps]), receivers, _PILOT_SAMPLES)
+        return np.concatenate([unshadowed_means(scene, block, receivers, _PILOT_SAMPLES) for block in blocks])
     except RuntimeError as error:  # Dr.Jit looks at all emitters of the process, those of other scenes too
         reason = " ".join(str(error).split())
         raise UserError(f"{scene.path}: its lamps cannot be sampled ({reason}); correct or remove them") from None
