@@ -14,8 +14,9 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
+from slepian_prt.lighting.lamps import scale_lamps
 from slepian_prt.relighting.drawing.camera import relit_camera
-from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scale_lamps, scene_camera
+from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scene_camera
 from slepian_prt.relighting.drawing.scene_source import Source, find_source, missing_in_picture, open_source
 from slepian_prt.relighting.drawing.shots import Drawing, SceneDrawing, VertexDrawing
 from slepian_prt.relighting.operator import transfer_operator

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import gc
 import math
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -18,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.lighting.fixed_lights import OTHERS
-from slepian_prt.lighting.lamps import lamps_of
+from slepian_prt.lighting.lamps import lamp_places
 from slepian_prt.relighting.drawing.camera import aim_camera, middle_directions
 from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
@@ -38,9 +35,6 @@ from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
 # the mean of the picture count as being that bright.
 _BATCH, _NOISE, _MOST_SAMPLES = 8, 0.02, 128
 _TILE, _DARK = 8, 0.1
-
-# Parameters that say how bright an emitter is.
-_BRIGHTNESS = r"(radiance|intensity|irradiance)\b.*(value|data)$"
 
 # Rays that are followed at once.
 _RAYS = 1 << 20
@@ -99,7 +93,9 @@ class SceneCamera:
         # into every kernel, which then takes longer, and which Dr.Jit has been seen to abort at.
         gc.collect()
         with _quiet(mi):
-            integrator = scene_integrator(mi, self.packed, lighting=light.lighting)
+            emitters = self.loaded.emitters()
+            lamps = {name: emitters[place] for name, place in lamp_places(mi, self.loaded).items()}
+            integrator = scene_integrator(mi, self.packed, lighting=light.lighting, lamps=lamps)
             scene = _relit_scene(mi, self.loaded, light)
             return _gather(mi, scene, integrator, self.sensor, self.samples)
 
@@ -145,40 +141,6 @@ def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     if environment is not None:
         entries["environment"] = environment_emitter(mi, environment)
     return load_keeping_ids(mi, {"type": "scene", **entries})
-
-
-def scale_lamps(mi: Any, loaded: Any, scales: float | Mapping[str, float]) -> None:
-    """Make the lamps of a scene so many times as bright, by the names that transfer files know them by.
-
-    Raises
-    ------
-    UserError
-        One of another brightness is wanted whose radiance is an image of bytes.
-    """
-    emitters = loaded.emitters()
-    for lamp in lamps_of(mi, loaded, "the scene"):
-        scale = _scale_of(lamp.name, scales)
-        if scale == 1.0:
-            continue
-        emitter = emitters[lamp.place]
-        parameters = mi.traverse(emitter)
-        found = [name for name, _ in parameters if re.match(_BRIGHTNESS, name)]
-        own = [name for name, _ in parameters if name == "scale"] or found
-        if not own or any("u8" in type(parameters[name]).__name__.lower() for name in own):
-            raise UserError(
-                f"the brightness of lamp '{lamp.name}' cannot be changed in pictures; leave out `fixed_lights`"
-            )
-        for name in own:
-            parameters[name] = parameters[name] * scale
-        parameters.update()
-
-
-def _scale_of(name: str, scales: float | Mapping[str, float]) -> float:
-    """Of one lamp; those that a file holds as one have that one's."""
-    if not isinstance(scales, Mapping):
-        return float(scales)
-    joined = next((scale for known, scale in scales.items() if known.endswith(" other lights")), 1.0)
-    return scales.get(name, scales.get(OTHERS, joined))
 
 
 @contextmanager

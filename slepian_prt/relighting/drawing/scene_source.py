@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.mitsuba.files import load_xml
 from slepian_prt.scene.mitsuba.parameters import scene_parameters
@@ -89,7 +90,7 @@ def calls_for_gathering(loaded: Any, packed: CompressedTransfer) -> bool:
     if any(not emitter.is_environment() for emitter in loaded.emitters()):
         return True
     held = {part.name for part in packed.parts}
-    names = [shape.id() or f"shape_{index}" for index, shape in enumerate(loaded.shapes())]
+    names = [shape_name(shape, index) for index, shape in enumerate(loaded.shapes())]
     return any(
         name not in held or not is_plain(shape.bsdf()) for name, shape in zip(names, loaded.shapes(), strict=True)
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.relighting.drawing.pictures import encode_srgb
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.formats.parts import Texture, Wrap
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
@@ -55,7 +56,7 @@ def bitmap_detail(
     -------
     None without any such bitmap. Reflectance of faces without one is left at 1.
     """
-    shapes = {shape.id() or f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
+    shapes = {shape_name(shape, index): shape for index, shape in enumerate(loaded.shapes())}
     choice = np.full(len(mesh.faces), -1, dtype=np.int32)
     uv = np.zeros((len(mesh.faces), 3, 2), dtype=np.float32)
     textures: list[Texture] = []

@@ -59,7 +59,7 @@ class BoundTransfer:
         self._mi = mi
         self.name = held.name
         self.packed = held.packed
-        self._lighting = held.lighting
+        self._lighting, self._lamps = held.lighting, held.lamps
         self.albedo = mi.TensorXf(np.ascontiguousarray(self.packed.mesh.albedo, dtype=np.float32))
         self._damping = damping(self.packed.bandlimit)
         self._fixed_lights = fixed_lights
@@ -101,7 +101,7 @@ class BoundTransfer:
             raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
         surfaces = Surfaces(self._mi, matched, self.packed.mesh)
         self._vertex_radiance = VertexRadiance(self._mi, self.packed, turn, self._damping, self._lighting)
-        self._bounced = BouncedLight(self._mi, self.packed.fixed, scene, self._fixed_lights)
+        self._bounced = BouncedLight(self._mi, self.packed.fixed, scene, self._fixed_lights, self._lamps)
         self._matched, self._surfaces, self._shapes = matched, surfaces, shapes
         return True
 

@@ -14,7 +14,7 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.relighting.drawing.drawings import Lit, Taking, locate_source, open_drawing
 from slepian_prt.relighting.drawing.render import render_picture
-from slepian_prt.relighting.drawing.scene_pictures import environment_of, scale_lamps
+from slepian_prt.relighting.drawing.scene_pictures import environment_of
 from slepian_prt.relighting.drawing.shots import SceneDrawing, VertexDrawing
 from slepian_prt.relighting.relight import relight
 from slepian_prt.renderer.variants import mitsuba
@@ -33,6 +33,7 @@ MIRROR = (
     '<shape type="rectangle" id="mirror"><transform name="to_world"><scale value="3"/><rotate y="1" angle="90"/>'
     '<translate x="-2"/></transform><bsdf type="conductor"/></shape>'
 )
+EPSILON = np.finfo(np.float32).eps
 EYE, MIRRORED = (2.0, 0.0, -1.0), (-6.0, 0.0, -1.0)
 
 
@@ -235,22 +236,34 @@ POINT = (
 )
 
 
-@pytest.mark.parametrize(
-    ("scales", "expected"),
-    [
-        (0.5, [1.0, 1.0]),
-        ({"key": 0.0}, [0.0, 2.0]),
-        ({"key": 3.0, "*": 0.25}, [6.0, 0.5]),
-        ({"2 other lights": 2.0}, [4.0, 4.0]),
-    ],
+CORNER = "".join(
+    f'<shape type="rectangle"><transform name="to_world">{turn}</transform><bsdf type="diffuse">'
+    '<rgb name="reflectance" value="0.8"/></bsdf></shape>'
+    for turn in ("", '<rotate y="1" angle="90"/><translate x="-1"/>')
 )
-def test_lamps_of_the_scene_are_dimmed_by_name(tmp_path, scales, expected):
-    path = write_scene(tmp_path / "lit.xml", BALL, POINT.format(' id="key"', 0), POINT.format("", 1))
-    with mitsuba() as mi:
-        loaded = mi.load_file(str(path), optimize=False)
-        scale_lamps(mi, loaded, scales)
-        found = [float(np.ravel(mi.traverse(lamp)["intensity.value"])[0]) for lamp in loaded.emitters()]
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
+SQUARE_LAMP = (
+    '<shape type="rectangle"><transform name="to_world"><scale value="0.2"/><rotate x="1" angle="180"/>'
+    '<translate x="{}" z="1"/></transform><emitter type="area"><rgb name="radiance" value="{}"/></emitter></shape>'
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("many", [False, True])
+def test_bounces_are_scaled_with_their_lamp(many, tmp_path):
+    """Half the light of each lamp is half the picture, of lamps without names and of those that are one in the file."""
+    lamps = [SQUARE_LAMP.format(0, 4), SQUARE_LAMP.format(0.5, 2)]
+    points = [POINT.format("", x).replace('z="-1"', 'z="0.5"') for x in np.linspace(-0.5, 0.5, 17 if many else 2)]
+    path = write_scene(tmp_path / "lit.xml", CORNER, *lamps, *points)
+    packed = packed_scene(path)
+    assert packed.fixed.bounced.any()
+    asked = {"width": 16, "look_at": ((2.0, 0.0, 2.0), (-0.5, 0.0, 0.0)), "scene_linear": True, "spp": 1}
+    full, half = (render_picture(packed, **asked, fixed_lights=scale) for scale in (1.0, 0.5))
+    names = dict.fromkeys(packed.fixed.names, 0.5)
+    by_name = render_picture(packed, **asked, fixed_lights=names)
+    assert full[..., :3].max() > 0.1
+    # The same paths: sums of float32, among them one of each lamp.
+    for dimmed in (half, by_name):
+        np.testing.assert_allclose(dimmed[..., :3], 0.5 * full[..., :3], rtol=0, atol=32 * EPSILON * full.max())
 
 
 @pytest.mark.slow
