@@ -10,7 +10,7 @@ import gc
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,14 +20,13 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.lamps import lamp_places
-from slepian_prt.relighting.drawing.camera import aim_camera, middle_directions
+from slepian_prt.relighting.drawing.camera import DEFAULT_WIDTH, middle_directions
 from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
-from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
 from slepian_prt.scene.mitsuba.instances import groups_in
-from slepian_prt.scene.sensors import sensor
-from slepian_prt.scene.view import Aim
+from slepian_prt.scene.sensors import view_sensor
+from slepian_prt.scene.view import Aim, aimed_view
 from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
 
 # Samples of each pixel are taken so many at a time, and no longer in tiles of so many pixels that have less than this
@@ -101,13 +100,13 @@ class SceneCamera:
 
 
 def scene_camera(
-    mi: Any, packed: CompressedTransfer, loaded: Any, origin: NDArray[np.float64], width: int, aim: Aim | None
+    mi: Any, packed: CompressedTransfer, loaded: Any, origin: NDArray[np.float64], width: int | None, aim: Aim
 ) -> SceneCamera:
     """The camera that `relit_camera` gives, in a Mitsuba scene whose origin is that point of the world."""
-    with open_scene(packed.mesh) as scene:
-        aimed = aim_camera(replace(scene, view=packed.view), aim, width, toward_view=packed.toward_view)
-    in_scene = replace(aimed, mi=mi, origin=origin, scale=1.0)
-    return SceneCamera(mi, packed, loaded, sensor(in_scene, width))
+    receivers = packed.mesh.receivers
+    points = receivers.positions[receivers.active] if receivers.active.any() else receivers.positions
+    view = aimed_view(aim, packed.view, points, width or DEFAULT_WIDTH)
+    return SceneCamera(mi, packed, loaded, view_sensor(mi, view, width, origin=origin))
 
 
 def own_environment(mi: Any, loaded: Any, origin: str) -> Environment | None:

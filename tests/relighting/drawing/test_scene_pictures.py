@@ -14,11 +14,11 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.relighting.drawing.drawings import Lit, Taking, locate_source, open_drawing
 from slepian_prt.relighting.drawing.render import render_picture
-from slepian_prt.relighting.drawing.scene_pictures import environment_of
+from slepian_prt.relighting.drawing.scene_pictures import environment_of, scene_camera
 from slepian_prt.relighting.drawing.shots import SceneDrawing, VertexDrawing
 from slepian_prt.relighting.relight import relight
 from slepian_prt.renderer.variants import mitsuba
-from slepian_prt.scene.view import Aim
+from slepian_prt.scene.view import Aim, View
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import precompute
 from tests.numerics import assert_exact
@@ -214,6 +214,20 @@ def test_several_lights_are_drawn_once(ball, white, tmp_path):
         again = drawing.picture(0)
     np.testing.assert_allclose(second.radiance, 3.0 * first.radiance, rtol=1e-4)
     assert_exact(again.radiance, first.radiance, "kept")
+
+
+def test_without_a_width_a_picture_is_as_wide_as_the_film(ball, tmp_path):
+    """As of one that is drawn from the file alone; 800 pixels where the scene has no camera."""
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
+    filmed = replace(ball, view=View("cam", np.eye(4).tolist(), 40.0, 24, 16, 0.1, 10.0))
+    lit = Lit(np.zeros((1, 3, 9)), np.zeros((1, len(ball.mesh.positions), 3), np.float32))
+    with mitsuba() as mi:
+        drawing = open_drawing(mi, filmed, lit, Taking(scene=room, spp=1))
+        assert isinstance(drawing, SceneDrawing)
+        assert drawing.picture(0).alpha.shape == (16, 24)
+        loaded = mi.load_file(str(room), optimize=False)
+        assert scene_camera(mi, filmed, loaded, np.zeros(3), 48, Aim()).directions.shape[:2] == (32, 48)
+        assert scene_camera(mi, ball, loaded, np.zeros(3), None, Aim()).directions.shape[1] == 800
 
 
 def test_a_map_of_coefficients_is_the_light_they_are_of():
