@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -145,7 +145,7 @@ def read_maps(
     check_names(paths)
     lights = [_read_map(path, clamp_negative).rotated(rotate) for path in paths]
     stand = up_rotation(up or "y")
-    return [replace(light, to_world=stand @ light.to_world) for light in lights]
+    return [light.turned(stand) for light in lights]
 
 
 def read_transfer(file: str) -> CompressedTransfer:

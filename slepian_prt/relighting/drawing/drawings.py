@@ -176,7 +176,7 @@ def _scene_drawing(
     if lit.own_turns is not None:
         own = own_environment(mi, source.scene, str(source.path))
         if own is not None:
-            environments = [replace(own, to_world=turn @ own.to_world) for turn in lit.own_turns]
+            environments = [own.turned(turn) for turn in lit.own_turns]
     lights = tuple(Light(one, shown) for one, shown in zip(lit.lighting, environments, strict=True))
     return SceneDrawing(camera, lights, report)
 

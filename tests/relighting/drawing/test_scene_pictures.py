@@ -9,7 +9,8 @@ from PIL import Image
 import slepian_prt as sp
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.environment import make_environment
+from slepian_prt.lighting.emitters import environment_emitter
+from slepian_prt.lighting.environment import about_up, make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.relighting.drawing.drawings import Lit, Taking, locate_source, open_drawing
@@ -228,6 +229,21 @@ def test_without_a_width_a_picture_is_as_wide_as_the_film(ball, tmp_path):
         loaded = mi.load_file(str(room), optimize=False)
         assert scene_camera(mi, filmed, loaded, np.zeros(3), 48, Aim()).directions.shape[:2] == (32, 48)
         assert scene_camera(mi, ball, loaded, np.zeros(3), None, Aim()).directions.shape[1] == 800
+
+
+def test_the_own_sky_of_a_scene_turns(ball, tmp_path):
+    """What mirrors show of it stands where the coefficients have it, and is the sky itself where it was not turned."""
+    sky = '<emitter type="sunsky"><vector name="sun_direction" x="0.5" y="0.6" z="0.6"/></emitter>'
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR, sky)
+    turns = [about_up(degrees) for degrees in (0.0, 90.0)]
+    lit = Lit(np.zeros((2, 3, 9)), np.zeros((2, len(ball.mesh.positions), 3), np.float32), own_turns=turns)
+    with mitsuba() as mi:
+        unturned, turned = open_drawing(mi, ball, lit, Taking(16, scene=room, spp=1)).lights
+        assert unturned.environment.emitter is not None
+        assert environment_emitter(mi, turned.environment)["type"] == "envmap"
+    expected = project_environment(unturned.environment, 2, rotate=90.0)
+    found = project_environment(turned.environment, 2)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_a_map_of_coefficients_is_the_light_they_are_of():
