@@ -88,8 +88,26 @@ class Canvas:
     def _white(self, number: int) -> NDArray[np.float32] | None:
         return None if self.white is None else self.white[number]
 
-    def write(self, path: str | Path, number: int, scale: float | None = None, factor: float = 1.0) -> str:
-        """Write the mesh under one light, ``.glb`` or ``.ply``; a line about its colours."""
+    def write(
+        self,
+        path: str | Path,
+        number: int,
+        scale: float | None = None,
+        factor: float = 1.0,
+        folder: str | Path | None = None,
+    ) -> str:
+        """Write the mesh under one light, ``.glb`` or ``.ply``; a line about its colours.
+
+        Parameters
+        ----------
+        path : path
+        number : int
+            Of the light.
+        scale, factor
+            As of `paint_mesh`.
+        folder : path, optional
+            Where the file is moved to afterwards.
+        """
         painted = paint_mesh(
             self.mesh, self.parts, self.radiance[number], self._white(number), self.detail, scale, factor
         )
@@ -99,7 +117,7 @@ class Canvas:
             what = "radiance of white surfaces, which textures multiply," if textured else "radiance"
             return f"colours are {what} x {painted.scale:.4g}, linear"
         if textured:
-            write_textured_ply(path, painted)
+            write_textured_ply(path, painted, folder)
             what = "radiance of white surfaces, which the texture multiplies,"
             return f"colours are {what} x {painted.scale:.4g}, tone-mapped"
         used = write_coloured_mesh(path, self.mesh, self.radiance[number], scale, factor)
