@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, check_integer
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.lighting.lamps import scale_lamps
@@ -73,8 +73,8 @@ class Taking:
     spp: int | None = None
 
     def __post_init__(self) -> None:
-        if self.spp is not None and not 1 <= self.spp <= _MOST_SAMPLES:
-            raise UserError(f"spp must be between 1 and {_MOST_SAMPLES} samples of each pixel, not {self.spp}")
+        if self.spp is not None:
+            object.__setattr__(self, "spp", check_integer(self.spp, "spp", 1, _MOST_SAMPLES))
 
 
 _MOST_SAMPLES = 65536

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
@@ -29,10 +30,12 @@ from slepian_prt.scene.sensors import view_sensor
 from slepian_prt.scene.view import Aim, aimed_view
 from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
 
-# Samples of each pixel are taken so many at a time, and no longer in tiles of so many pixels that have less than this
-# noise (relative RMS, measured from one such batch to the next), or once so many are taken. Tiles darker than a part of
-# the mean of the picture count as being that bright.
-_BATCH, _NOISE, _MOST_SAMPLES = 8, 0.02, 128
+# Samples of each pixel are taken so many at a time. How many a tile of pixels gets, for this noise (relative RMS), a
+# pilot of some batches says, which is not part of the picture: means that stop where their own samples look quiet are
+# too dark. Tiles darker than a part of the mean of the picture count as being that bright, and each gets as many as the
+# noisiest beside it, so that bright paths that a pilot has missed do not stand out.
+_BATCH, _NOISE, _LEAST_SAMPLES, _MOST_SAMPLES = 8, 0.02, 16, 128
+_PILOT_BATCH, _PILOT_BATCHES = 4, 4
 _TILE, _DARK = 8, 0.1
 
 # Rays that are followed at once.
@@ -156,39 +159,63 @@ def _quiet(mi: Any) -> Iterator[None]:
 def _gather(mi: Any, scene: Any, integrator: Any, view: Any, samples: int | None) -> Picture:
     """Mean radiance of each pixel over what rays meet, and the part of them that meet anything."""
     columns, rows = (int(n) for n in view.film().size())
-    pixels = rows * columns
-    total, squares = np.zeros((pixels, 4)), np.zeros((pixels, 4))  # Σ batch means, and of their squares
-    batches, weights = np.zeros(pixels), np.zeros(pixels)  # how many, and of how many samples each
-    tile = (np.arange(pixels) // columns // _TILE) * (columns // _TILE + 1) + np.arange(pixels) % columns // _TILE
-    active, taken = np.arange(pixels), 0
-    while len(active) and taken < (samples or _MOST_SAMPLES):
-        count = min(_BATCH, (samples or _MOST_SAMPLES) - taken)
-        each = max(_RAYS // count, 1)
-        for first in range(0, len(active), each):
-            chosen = active[first : first + each]
-            mean = _trace(mi, scene, integrator, view, chosen, range(taken, taken + count))
-            total[chosen] += count * mean
-            squares[chosen] += count * mean**2
-        weights[active] += count
-        batches[active] += 1
-        taken += count
-        if samples is None and taken > _BATCH:
-            noisy = _tile_noise(total[:, :3], squares[:, :3], weights, batches, tile) > _NOISE
-            active = active[noisy[tile[active]]]
-    mean = (total / weights[:, None]).reshape(rows, columns, 4)
+    first = 0
+    if samples is None:
+        first = _PILOT_BATCH * _PILOT_BATCHES
+        wanted = _samples_wanted(_pilot(mi, scene, integrator, view), rows, columns)
+    else:
+        wanted = np.full(rows * columns, samples)
+    total = np.zeros((rows * columns, 4))
+    for taken in range(0, int(wanted.max()), _BATCH):
+        active = np.flatnonzero(wanted > taken)
+        count = min(_BATCH, int(wanted.max()) - taken)
+        numbers = range(first + taken, first + taken + count)
+        total[active] += count * _trace_pixels(mi, scene, integrator, view, active, numbers)
+    mean = (total / wanted[:, None]).reshape(rows, columns, 4)
     return Picture(mean[..., :3].astype(np.float32), mean[..., 3].astype(np.float32))
 
 
-def _tile_noise(
-    total: NDArray, squares: NDArray, weights: NDArray, batches: NDArray, tile: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Relative RMS error of each tile of pixels, from the variance of the means of equal batches."""
-    mean = total / weights[:, None]
-    variance = np.maximum(squares / weights[:, None] - mean**2, 0.0) / (batches[:, None] - 1.0)
+def _pilot(mi: Any, scene: Any, integrator: Any, view: Any) -> NDArray[np.float64]:
+    """(batches, pixels, 3) means of radiance over a few samples of each pixel."""
+    columns, rows = (int(n) for n in view.film().size())
+    pixels = np.arange(rows * columns)
+    begins = range(0, _PILOT_BATCH * _PILOT_BATCHES, _PILOT_BATCH)
+    return np.stack(
+        [
+            _trace_pixels(mi, scene, integrator, view, pixels, range(begin, begin + _PILOT_BATCH))[:, :3]
+            for begin in begins
+        ]
+    )
+
+
+def _samples_wanted(pilot: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.int64]:
+    """(pixels,) how many samples bring each tile, and those around it, to the noise that is allowed, in whole batches.
+
+    Parameters
+    ----------
+    pilot : (batches, pixels, 3)
+    rows, columns : int
+        Of the picture.
+    """
+    down, across = np.arange(rows * columns) // columns // _TILE, np.arange(rows * columns) % columns // _TILE
+    shape = (int(down[-1]) + 1, int(across.max()) + 1)
+    tile = down * shape[1] + across
+    mean, variance = pilot.mean(axis=0), _PILOT_BATCH * pilot.var(axis=0, ddof=1)  # the latter of one sample
     error, power = (np.bincount(tile, values.sum(axis=1)) for values in (variance, mean**2))
-    size = np.bincount(tile)
-    floor = (_DARK * float(mean.mean())) ** 2 * 3.0 * size
-    return np.asarray(np.sqrt(error / np.maximum(np.maximum(power, floor), 1e-300)))
+    floor = (_DARK * float(mean.mean())) ** 2 * 3.0 * np.bincount(tile)
+    relative = error / np.maximum(np.maximum(power, floor), 1e-300)
+    around = maximum_filter(relative.reshape(shape), size=3, mode="nearest").ravel()
+    batches = np.ceil(np.minimum(around / _NOISE**2, _MOST_SAMPLES) / _BATCH)
+    return np.asarray(np.maximum(batches.astype(np.int64) * _BATCH, _LEAST_SAMPLES)[tile])
+
+
+def _trace_pixels(
+    mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray[np.int64], numbers: range
+) -> NDArray[np.float64]:
+    """As `_trace`, as many at a time as memory allows."""
+    each = max(_RAYS // len(numbers), 1)
+    parts = (pixels[begin : begin + each] for begin in range(0, len(pixels), each))
+    return np.concatenate([_trace(mi, scene, integrator, view, part, numbers) for part in parts])
 
 
 def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, numbers: range) -> NDArray[np.float64]:
@@ -204,7 +231,9 @@ def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, num
     inside = (shift + np.tile(np.array(numbers), len(pixels))[:, None] * step) % 1.0
     x, y = (pixel % columns + inside[:, 0]) / columns, (pixel // columns + inside[:, 1]) / rows
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(mi.UInt32(_SEED + numbers.start * (rows * columns) + int(pixels[0])), lanes)
+    # Mixed, so that no two calls have the same, however many there are.
+    seed = np.random.SeedSequence([_SEED, numbers.start, int(pixels[0])]).generate_state(1)[0]
+    sampler.seed(mi.UInt32(int(seed)), lanes)
     place = mi.Point2f(x.astype(np.float32), y.astype(np.float32))
     ray, _ = view.sample_ray_differential(0.0, 0.5, place, sampler.next_2d())
     ray.scale_differential(1.0 / math.sqrt(len(numbers)))

@@ -12,6 +12,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import environment_emitter
 from slepian_prt.lighting.environment import about_up, make_environment
 from slepian_prt.lighting.projection import project_environment
+from slepian_prt.relighting.drawing import scene_pictures
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.relighting.drawing.drawings import Lit, Taking, locate_source, open_drawing
 from slepian_prt.relighting.drawing.render import render_picture
@@ -157,8 +158,9 @@ def test_a_scene_that_changed_is_told(ball, tmp_path):
 def test_scenes_that_cannot_be_had(ball, tmp_path):
     with pytest.raises(UserError, match="no such file; check the path of `scene`"):
         render_picture(ball, np.zeros((3, 9)), width=16, scene=tmp_path / "no.xml")
-    with pytest.raises(UserError, match="spp must be between 1 and"):
-        render_picture(ball, np.zeros((3, 9)), width=16, spp=0)
+    for wrong in (0, 65537, 2.5, "a", True):
+        with pytest.raises(UserError, match=r"^spp must be an integer in \[1, 65536\], not "):
+            render_picture(ball, np.zeros((3, 9)), width=16, spp=wrong)
     (tmp_path / "broken.xml").write_text("<scene")
     told = []
     with mitsuba() as mi:
@@ -244,6 +246,57 @@ def test_the_own_sky_of_a_scene_turns(ball, tmp_path):
     expected = project_environment(unturned.environment, 2, rotate=90.0)
     found = project_environment(turned.environment, 2)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+class Film:
+    """A camera of so many pixels, of which nothing else is wanted."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self._size = (columns, rows)
+
+    def film(self):
+        return self
+
+    def size(self):
+        return self._size
+
+
+@pytest.mark.parametrize("samples", [None, 20])
+def test_rare_bright_paths_are_not_lost(samples, monkeypatch):
+    """Where one sample of 400 is 40 brighter, the mean is 1.1, also where a pilot says how many samples are taken."""
+    rng, spread, (columns, rows) = np.random.default_rng(0), 40.0 * np.sqrt(1 / 400), (96, 64)
+
+    def trace(_mi, _scene, _integrator, _view, pixels, numbers):
+        rare = (rng.random((len(pixels), len(numbers))) < 1 / 400).mean(axis=1)
+        return np.repeat(1.0 + 40.0 * rare[:, None], 4, axis=1)
+
+    monkeypatch.setattr(scene_pictures, "_trace", trace)
+    mean = float(scene_pictures._gather(None, None, None, Film(columns, rows), samples).radiance.mean())
+    # Four standard deviations of a mean of at least 16 samples of each pixel.
+    assert abs(mean - 1.1) < 4.0 * spread / np.sqrt(16 * rows * columns)
+
+
+def test_noise_of_a_tile_is_that_of_those_around_it():
+    """Batches of 1 ± d have variance 4 d²/3, samples four times that, and 1/0.02² of it are wanted."""
+    pilot = np.ones((4, 40 * 40, 3))
+    noisy = np.zeros((40, 40), dtype=bool)
+    noisy[16:24, 16:24] = True
+    pilot[:, noisy.ravel()] += 0.06 * np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]
+    wanted = scene_pictures._samples_wanted(pilot, 40, 40).reshape(40, 40)
+    expected = np.full((40, 40), 16)
+    expected[8:32, 8:32] = 48
+    assert_exact(wanted, expected, "whole numbers")
+    assert scene_pictures._samples_wanted(100.0 * (pilot - 0.9), 40, 40).max() == 128
+
+
+def test_any_number_of_samples_can_be_drawn():
+    """The last of as many as may be asked for, of a large picture."""
+    with mitsuba() as mi:
+        scene = mi.load_dict({"type": "scene", "room": {"type": "sphere"}, "sky": {"type": "constant"}})
+        view = mi.load_dict({"type": "perspective", "film": {"type": "hdrfilm", "width": 1024, "height": 768}})
+        integrator = mi.load_dict({"type": "direct", "hide_emitters": True})
+        found = scene_pictures._trace(mi, scene, integrator, view, np.array([5]), range(65528, 65536))
+    assert_exact(found, [[0.0, 0.0, 0.0, 1.0]], "rays from within a dark ball meet it")
 
 
 def test_a_map_of_coefficients_is_the_light_they_are_of():
