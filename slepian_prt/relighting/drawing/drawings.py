@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError, check_integer
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
@@ -107,7 +108,7 @@ def open_drawing(
         A scene that is named and cannot be used, or a view that cannot be taken.
     """
     source = locate_source(mi, packed, taking.scene, file, report)
-    if source.scene is not None and isinstance(packed, CompressedTransfer):
+    if source.scene is not None:
         drawing = _scene_drawing(mi, packed, lit, taking, source, report)
         try:
             drawing.picture(0)
@@ -162,13 +163,15 @@ def _report_missing(packed: Transfer | CompressedTransfer, report: Callable[[str
 
 def _scene_drawing(
     mi: Any,
-    packed: CompressedTransfer,
+    packed: Transfer | CompressedTransfer,
     lit: Lit,
     taking: Taking,
     source: Source,
     report: Callable[[str], None],
 ) -> SceneDrawing:
     assert source.origin is not None
+    if isinstance(packed, Transfer):  # the integrator draws what files hold; float32 loses nothing of it
+        packed = compress(packed, "none", clusters=1, coding="float32")
     scale_lamps(mi, source.scene, lit.fixed_lights)
     camera = scene_camera(mi, packed, source.scene, source.origin, taking.width, taking.aim)
     camera = replace(camera, samples=taking.spp)

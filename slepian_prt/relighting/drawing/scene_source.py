@@ -77,15 +77,13 @@ def open_source(mi: Any, packed: Transfer | CompressedTransfer, path: Path) -> S
     """
     if path.suffix.lower() != ".xml":
         return Source(path, detail=read_surface_detail(path, packed.mesh))
-    if not isinstance(packed, CompressedTransfer):
-        return Source(path)
     loaded, origin = load_xml(mi, path, scene_parameters(packed.parameters))
     if not calls_for_gathering(loaded, packed):
         return Source(path)
     return Source(path, scene=loaded, origin=origin)
 
 
-def calls_for_gathering(loaded: Any, packed: CompressedTransfer) -> bool:
+def calls_for_gathering(loaded: Any, packed: Transfer | CompressedTransfer) -> bool:
     """Whether a Mitsuba scene has lamps, textures, gloss, or shapes that the file does not hold."""
     if any(not emitter.is_environment() for emitter in loaded.emitters()):
         return True

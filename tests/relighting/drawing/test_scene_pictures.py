@@ -73,6 +73,18 @@ def test_a_mirror_shows_what_its_mirrored_eye_sees(ball, tmp_path):
     assert np.mean(np.abs(metal - 1.0) > 0.02) < 0.03
 
 
+def test_transfer_that_is_not_compressed_is_gathered_too(tmp_path):
+    """As from a file that holds all of it."""
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
+    transfer = precompute(write_scene(tmp_path / "ball.xml", BALL), 2, 64)
+    sky = make_environment(gradient_sky())
+    asked = {"width": 16, "look_at": (EYE, (-4.0, 0.0, 1.0)), "scene": room, "spp": 1, "scene_linear": True}
+    kept = compress(transfer, "none", coding="float32")
+    found, expected = (render_picture(one, sky, **asked) for one in (transfer, kept))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * expected.max())
+    assert_exact(found[..., 3], np.ones_like(found[..., 3]), "the mirror fills the picture")
+
+
 def test_under_the_same_light_from_everywhere_all_is_as_bright(ball, white, tmp_path):
     far = BALL.replace('x="0"', 'x="40"').replace("ball", "other").replace("diffuse", "conductor")
     far = far.replace('<rgb name="reflectance" value="1"/>', "")
