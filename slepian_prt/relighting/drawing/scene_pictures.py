@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import gc
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,7 +21,9 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.lamps import lamp_places
 from slepian_prt.relighting.drawing.camera import DEFAULT_WIDTH, middle_directions
 from slepian_prt.relighting.drawing.pictures import Picture
+from slepian_prt.relighting.mitsuba.remarks import heard_remarks
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
+from slepian_prt.scene.mitsuba.files import silent
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
 from slepian_prt.scene.mitsuba.instances import groups_in
 from slepian_prt.scene.sensors import view_sensor
@@ -88,18 +88,19 @@ class SceneCamera:
         """(H, W, 3) through the middles of the pixels, in world space."""
         return middle_directions(self.mi, self.sensor)
 
-    def picture(self, light: Light) -> Picture:
-        """The scene under a light, against an empty background."""
+    def picture(self, light: Light) -> tuple[Picture, list[str]]:
+        """The scene under a light, against an empty background, and remarks on what of it is not drawn."""
         mi = self.mi
         # Scenes of earlier pictures refer to themselves. While they live, their materials and emitters are compiled
         # into every kernel, which then takes longer, and which Dr.Jit has been seen to abort at.
         gc.collect()
-        with _quiet(mi):
+        with silent(mi):
             emitters = self.loaded.emitters()
             lamps = {name: emitters[place] for name, place in lamp_places(mi, self.loaded).items()}
             integrator = scene_integrator(mi, self.packed, lighting=light.lighting, lamps=lamps)
             scene = _relit_scene(mi, self.loaded, light)
-            return _gather(mi, scene, integrator, self.sensor, self.samples)
+        with heard_remarks(mi) as remarks:
+            return _gather(mi, scene, integrator, self.sensor, self.samples), remarks
 
 
 def scene_camera(
@@ -143,17 +144,6 @@ def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     if environment is not None:
         entries["environment"] = environment_emitter(mi, environment)
     return load_keeping_ids(mi, {"type": "scene", **entries})
-
-
-@contextmanager
-def _quiet(mi: Any) -> Iterator[None]:
-    """Without Mitsuba's warnings, which go to standard output."""
-    level = mi.log_level()
-    try:
-        mi.set_log_level(mi.LogLevel.Error)
-        yield
-    finally:
-        mi.set_log_level(level)
 
 
 def _gather(mi: Any, scene: Any, integrator: Any, view: Any, samples: int | None) -> Picture:

@@ -218,17 +218,24 @@ def test_what_is_not_found_is_missed_in_one_line(ball):
 
 
 def test_several_lights_are_drawn_once(ball, white, tmp_path):
-    room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
+    """And what of the scene they lack is told once: here the bounces of a lamp that is new."""
+    unknown = '<emitter type="spot" id="lamp"><rgb name="intensity" value="0, 0, 1e-9"/></emitter>'
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR, unknown)
     lighting = np.stack([project_environment(white, 2), 3.0 * project_environment(white, 2)])
     lit = Lit(lighting, relight(ball, lighting))
     look = Aim((EYE, (-4.0, 0.0, 1.0)))
+    told = []
     with mitsuba() as mi:
-        drawing = open_drawing(mi, ball, lit, Taking(16, look, room, 4))
+        drawing = open_drawing(mi, ball, lit, Taking(16, look, room, 4), report=told.append)
         assert isinstance(drawing, SceneDrawing)
         first, second = drawing.picture(0), drawing.picture(1)
         again = drawing.picture(0)
     np.testing.assert_allclose(second.radiance, 3.0 * first.radiance, rtol=1e-4)
     assert_exact(again.radiance, first.radiance, "kept")
+    assert told == [
+        "ball.xml does not know the light of lamp: it falls on its shapes, but what they send each other of it is "
+        "missing"
+    ]
 
 
 def test_without_a_width_a_picture_is_as_wide_as_the_film(ball, tmp_path):
