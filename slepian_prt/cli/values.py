@@ -123,10 +123,22 @@ def as_dict(
     _context: click.Context, _option: click.Parameter, pairs: Sequence[tuple[str, str]]
 ) -> dict[str, str] | None:
     """Pairs as a dict, None if there are none; raise UserError for a name that is given twice."""
-    for number, (name, _) in enumerate(pairs):
-        if name in dict(pairs[:number]):
-            raise UserError(f"-D {name} is given twice; give it once")
+    if (name := _repeated(pairs)) is not None:
+        raise UserError(f"-D {name} is given twice; give it once")
     return dict(pairs) or None
+
+
+def as_scales(
+    _context: click.Context, _option: click.Parameter, pairs: Sequence[tuple[str, float]]
+) -> dict[str, float] | float:
+    """What lamps are multiplied by, 1 if nothing is given; raise UserError for a lamp that is given twice."""
+    if (name := _repeated(pairs)) is not None:
+        raise UserError(f"`fixed_lights` is given twice for {'all lamps' if name == '*' else name}; give it once")
+    return dict(pairs) or 1.0
+
+
+def _repeated(pairs: Sequence[tuple[str, Any]]) -> str | None:
+    return next((name for number, (name, _) in enumerate(pairs) if name in dict(pairs[:number])), None)
 
 
 def settings_of(kind: Callable[..., Settings], options: dict[str, Any], **more: Any) -> Settings:
