@@ -14,14 +14,12 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError, check_integer
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.lighting.lamps import scale_lamps
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scene_camera
-from slepian_prt.relighting.drawing.scene_source import Source, find_source, missing_in_picture, open_source
 from slepian_prt.relighting.drawing.shots import Drawing, SceneDrawing, VertexDrawing
-from slepian_prt.relighting.operator import transfer_operator
-from slepian_prt.relighting.relight import relight
+from slepian_prt.relighting.relight import white_radiance
+from slepian_prt.relighting.source import Source, locate_source
 from slepian_prt.scene.view import Aim
 from slepian_prt.transport.transfer import Transfer
 
@@ -123,44 +121,6 @@ def open_drawing(
     )
 
 
-def locate_source(
-    mi: Any,
-    packed: Transfer | CompressedTransfer,
-    scene: str | Path | None,
-    file: str | Path | None,
-    report: Callable[[str], None],
-) -> Source:
-    """What the transfer was made from, with a remark where it is wanted and cannot be had.
-
-    Raises
-    ------
-    UserError
-        It is named and cannot be used.
-    """
-    if packed.toward_view:  # the reflectance is in the transfer
-        return Source()
-    path = find_source(packed, file, scene)
-    if path is None:
-        _report_missing(packed, report)
-        return Source()
-    try:
-        return open_source(mi, packed, path)
-    except UserError as error:
-        if scene is not None:
-            raise
-        report(f"{error}; until then its colours are drawn as the vertices have them")
-        return Source()
-
-
-def _report_missing(packed: Transfer | CompressedTransfer, report: Callable[[str], None]) -> None:
-    lacking = missing_in_picture(packed)
-    if packed.source and lacking:
-        shown = "; ".join(lacking[:3]) + ("; …" if len(lacking) > 3 else "")
-        report(
-            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name its `scene`"
-        )
-
-
 def _scene_drawing(
     mi: Any,
     packed: Transfer | CompressedTransfer,
@@ -182,18 +142,3 @@ def _scene_drawing(
             environments = [own.turned(turn) for turn in lit.own_turns]
     lights = tuple(Light(one, shown) for one, shown in zip(lit.lighting, environments, strict=True))
     return SceneDrawing(camera, lights, report)
-
-
-def white_radiance(
-    transfer: Transfer | CompressedTransfer,
-    lighting: NDArray[np.float64],
-    fixed_lights: float | Mapping[str, float] = 1.0,
-) -> NDArray[np.float32]:
-    """(B, V, 3) radiance that receivers of unit albedo would send back, under lights (B, 3, (L+1)²) and the lamps."""
-    if not isinstance(transfer, CompressedTransfer):
-        white = replace(transfer.mesh, albedo=np.ones_like(transfer.mesh.albedo))
-        return relight(replace(transfer, mesh=white), lighting, fixed_lights=fixed_lights)
-    radiance = transfer_operator(transfer).apply(lighting)
-    if transfer.fixed is not None:
-        radiance += transfer.fixed.radiance(lamp_scales(transfer.fixed, fixed_lights))
-    return radiance

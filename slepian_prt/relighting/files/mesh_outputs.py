@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.files import atomic_output
-from slepian_prt.relighting.drawing.drawings import locate_source, white_radiance
 from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
 from slepian_prt.relighting.files.coloured_mesh import write_ply, write_textured_ply
 from slepian_prt.relighting.files.glb_file import write_glb
 from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh, textured_faces
+from slepian_prt.relighting.relight import white_radiance
 from slepian_prt.relighting.series import Series
+from slepian_prt.relighting.source import locate_source
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
