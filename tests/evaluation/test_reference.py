@@ -7,21 +7,24 @@ from slepian_prt.evaluation.reference import render_reference, vertex_reference
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.scene.loading import open_scene
 
+# A mesh keeps its own vertices, and what reflects nothing diffusely its own shape: both would go on shining.
 LAMPS = {
-    "rectangle": '<shape type="rectangle" id="lamp"><transform name="to_world"><rotate x="1" angle="90"/>'
-    '<translate y="2"/></transform>{}</shape>',
-    "sphere": '<shape type="sphere" id="lamp"><point name="center" x="0" y="2" z="0"/>{}</shape>',
+    "mesh": '<shape type="obj" id="lamp"><string name="filename" value="lamp.obj"/><bsdf type="diffuse"/>{}</shape>',
+    "sphere": '<shape type="sphere" id="lamp"><point name="center" x="0" y="1" z="0"/>'
+    '<float name="radius" value="0.2"/><bsdf type="conductor"/>{}</shape>',
 }
 SHINES = '<emitter type="area"><rgb name="radiance" value="50"/></emitter>'
 
 
 def scene_file(path, kind, emitter):
-    lamp = LAMPS[kind].format('<bsdf type="diffuse"><rgb name="reflectance" value="0.4"/></bsdf>' + emitter)
+    corners = [(-0.15, 1, -0.15), (0.15, 1, -0.15), (0.15, 1, 0.15), (-0.15, 1, 0.15)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f 1 2 3", "f 1 3 4"]
+    (path.parent / "lamp.obj").write_text("\n".join(lines) + "\n")
     floor = (
         '<shape type="rectangle" id="floor"><transform name="to_world"><rotate x="1" angle="-90"/><scale value="3"/>'
         '</transform><bsdf type="diffuse"/></shape>'
     )
-    path.write_text(f'<scene version="3.0.0">{floor}{lamp}</scene>')
+    path.write_text(f'<scene version="3.0.0">{floor}{LAMPS[kind].format(emitter)}</scene>')
     return path
 
 
