@@ -22,7 +22,7 @@ _NOISY = 0.02
 
 
 def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tuple[FixedLights | None, int]:
-    """Direct light of the lamps of a planned scene, and the rays that it took; None without lamps.
+    """Direct light of the lamps of a planned scene, and the rays that it took; None without lamps, or if unwanted.
 
     Receivers that nothing can shadow are lit without rays, those inside other geometry as their neighbours are.
 
@@ -32,7 +32,7 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
         Light that is negative or not finite somewhere.
     """
     scene, lamps, settings = planned.scene, planned.lamps, planned.settings
-    if not lamps.groups or planned.plan.view is not None:
+    if not lamps.groups or not lamps.wanted or planned.plan.view is not None:
         return None, 0
     count = len(scene.receivers)
     shadowed = np.zeros(count, dtype=bool)

@@ -14,7 +14,7 @@ from slepian_prt.lighting.lamps import UNSEEN, Lamp, lamps_of
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.scene import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
-from slepian_prt.transport.effects import NOT_SIMULATED, SIMULATED, Effect, Plan
+from slepian_prt.transport.effects import NOT_SIMULATED, OMITTED, SIMULATED, Effect, Plan
 from slepian_prt.transport.lamp_light import Group, samples_of, unshadowed_means
 
 log = logging.getLogger(__name__)
@@ -45,6 +45,8 @@ class Lamps:
         What they would add to the light of the scene's environment, as part of both; None without one.
     left_out : tuple of Effect
         Rows about those that Mitsuba cannot sample.
+    wanted : bool
+        Whether their light is computed at all.
     """
 
     names: tuple[str, ...]
@@ -55,6 +57,7 @@ class Lamps:
     reached: NDArray[np.float64]
     share: float | None
     left_out: tuple[Effect, ...]
+    wanted: bool = True
 
     def add_rows(self, plan: Plan, samples: int) -> Plan:
         """The plan with rows about lamps before what it does not simulate."""
@@ -75,6 +78,8 @@ class Lamps:
         if plan.view is not None:
             reason = "transfer toward a camera holds distant light only"
             return Effect(name, NOT_SIMULATED, self.share, None, 0, reason)
+        if not self.wanted:
+            return Effect(name, OMITTED, self.share, None, rays, "not asked for: what is measured is distant light")
         reason = f"kept apart from distant light; `fixed_lights` scales it when relighting ({kinds})"
         return Effect(name, SIMULATED, self.share, None, rays, reason)
 
