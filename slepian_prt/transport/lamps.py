@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.lamps import Lamp, lamps_of
+from slepian_prt.lighting.fixed_lights import joined_name
+from slepian_prt.lighting.lamps import UNSEEN, Lamp, lamps_of
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.scene import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
@@ -25,8 +26,6 @@ _PILOT, _PILOT_SAMPLES = 256, 8
 _LAMPS_PER_BLOCK = 512
 # Names of lamps in a row of the plan.
 _NAMED = 4
-# Plugins whose light no sample finds.
-_UNSEEN = ("directionalarea",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +94,8 @@ def find_lamps(scene: Scene, seed: int) -> Lamps:
     """
     loaded = scene.loaded
     found = [] if loaded is None else lamps_of(scene.mi, loaded, scene.path)
-    unseen = [lamp for lamp in found if lamp.kind in _UNSEEN]
-    lamps = [lamp for lamp in found if lamp.kind not in _UNSEEN and lamp.emitted.any()]
+    unseen = [lamp for lamp in found if lamp.kind in UNSEEN]
+    lamps = [lamp for lamp in found if lamp.kind not in UNSEEN and lamp.emitted.any()]
     for lamp in found:
         if not lamp.emitted.any():
             log.info("%s: lamp '%s' is set to 0 and left out", scene.path, lamp.name)
@@ -142,7 +141,7 @@ def _joined(
     rest = [lamps[i] for i in others]
     kinds = {lamp.kind for lamp in rest}
     return Lamps(
-        (*(lamps[i].name for i in own), f"{others.size} other lights"),
+        (*(lamps[i].name for i in own), joined_name(others.size)),
         (*(lamps[i].kind for i in own), kinds.pop() if len(kinds) == 1 else "several"),
         np.array([*(lamps[i].emitted for i in own), np.mean([lamp.emitted for lamp in rest], axis=0)]),
         np.array([*(lamps[i].direction for i in own), np.zeros(3)]),

@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.relighting.drawing.pictures import encode_srgb
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.formats.parts import Texture, Wrap
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
+from slepian_prt.scene.mitsuba.instances import instanced_groups
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
 
@@ -55,35 +57,77 @@ def bitmap_detail(
     -------
     None without any such bitmap. Reflectance of faces without one is left at 1.
     """
-    shapes = {shape.id() or f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
+    shapes = _shapes_of_parts(mi, loaded)
+    bitmaps = _Bitmaps(mi)
     choice = np.full(len(mesh.faces), -1, dtype=np.int32)
     uv = np.zeros((len(mesh.faces), 3, 2), dtype=np.float32)
-    textures: list[Texture] = []
     left: list[str] = []
     for part in parts:
-        shape = shapes.get(part.name)
+        shape, to_shape = shapes.get(part.name, (None, None))
         bsdf = None if shape is None else shape.bsdf()
-        if bsdf is None:
+        if bsdf is None or to_shape is None:
             continue
-        texture = _bitmap_of(mi, bsdf, part.name)
-        if texture is None:
+        number = bitmaps.number_of(bsdf, part.name)
+        if number is None:
             left += [part.name] if _has_texture(mi, bsdf) else []
             continue
         faces = np.flatnonzero((mesh.faces[:, 0] >= part.first) & (mesh.faces[:, 0] < part.end))
-        placed, found = _coordinates(mi, shape, mesh, part, faces, origin)
+        positions = (mesh.positions[part.first : part.end] - origin) @ to_shape[:3, :3].T + to_shape[:3, 3]
+        placed, found = _coordinates(mi, shape, positions, part.count, mesh.faces[faces] - part.first)
         uv[faces] = _transformed(mi, bsdf, placed)
-        choice[faces[found]] = len(textures)
-        textures.append(texture)
+        choice[faces[found]] = number
     if left:
         names = ", ".join(f"'{name}'" for name in left[:3]) + (", …" if len(left) > 3 else "")
         report(f"textures of {names} are no bitmaps of a diffuse material; they are written as colours of vertices")
-    if not textures:
+    if not bitmaps.textures:
         return None
     none = np.full(len(mesh.faces), -1, dtype=np.int32)
     white = np.ones((len(mesh.faces), 3, 3), dtype=np.float32)
     return SurfaceDetail(
-        tuple(textures), choice, uv, white, np.zeros(len(choice), dtype=np.float32), none, np.zeros_like(uv)
+        tuple(bitmaps.textures), choice, uv, white, np.zeros(len(choice), dtype=np.float32), none, np.zeros_like(uv)
     )
+
+
+def _shapes_of_parts(mi: Any, loaded: Any) -> dict[str, tuple[Any, NDArray[np.float64]]]:
+    """Shapes of a scene by the names of their parts, and (4, 4) from the space of the scene to that of the shape."""
+    shapes: dict[str, tuple[Any, NDArray[np.float64]]] = {}
+    for index, shape in enumerate(loaded.shapes()):
+        shapes[shape_name(shape, index)] = shape, np.eye(4)
+    for group in instanced_groups(mi, loaded, "the scene"):
+        for index, shape in enumerate(group.shapes):
+            member = group.member_name(index).rsplit("/", 1)[-1]
+            for instance in group.instances:
+                shapes[f"{instance.name}/{member}"] = shape, np.asarray(np.linalg.inv(instance.matrix))
+    return shapes
+
+
+class _Bitmaps:
+    """The images that materials of a scene reflect, each once, whichever shapes and materials have it.
+
+    Attributes
+    ----------
+    textures : list of Texture
+    """
+
+    def __init__(self, mi: Any) -> None:
+        self._mi = mi
+        self.textures: list[Texture] = []
+        self._by_material: dict[int, int | None] = {}
+        self._by_content: dict[tuple[bytes, tuple[Wrap, Wrap]], int] = {}
+
+    def number_of(self, bsdf: Any, name: str) -> int | None:
+        """Of the image that the material of a shape of this name reflects; None if that is no bitmap."""
+        if bsdf.ptr not in self._by_material:
+            texture = _bitmap_of(self._mi, bsdf, name)
+            self._by_material[bsdf.ptr] = None if texture is None else self._number(texture)
+        return self._by_material[bsdf.ptr]
+
+    def _number(self, texture: Texture) -> int:
+        assert isinstance(texture.source, bytes)
+        number = self._by_content.setdefault((texture.source, texture.wrap), len(self.textures))
+        if number == len(self.textures):
+            self.textures.append(texture)
+        return number
 
 
 def _has_texture(mi: Any, bsdf: Any) -> bool:
@@ -147,20 +191,39 @@ def _transformed(mi: Any, bsdf: Any, uv: NDArray) -> NDArray[np.float64]:
 
 
 def _coordinates(
-    mi: Any, shape: Any, mesh: Mesh, part: Part, faces: NDArray[np.int64], origin: NDArray
+    mi: Any, shape: Any, positions: NDArray[np.float64], count: int, faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(F', 3, 2) texture coordinates of the corners of some faces, and (F',) where they were found."""
+    """Texture coordinates of the faces of a part.
+
+    Parameters
+    ----------
+    mi : Mitsuba, in the variant of the scene
+    shape : Mitsuba shape
+    positions : (n, 3)
+        Of the vertices of the part, in the space of the shape.
+    count : int
+        Of these, those on its front.
+    faces : (F', 3)
+        Of these vertices.
+
+    Returns
+    -------
+    uv : (F', 3, 2)
+        Of the corners.
+    found : (F',) bool
+        Whether they could be had.
+    """
     import drjit as dr
 
-    if shape.is_mesh() and shape.vertex_count() == part.count and shape.has_vertex_texcoords():
-        places = np.array(shape.vertex_position(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T + origin
-        own = mesh.positions[part.first : part.first + part.count]
+    if shape.is_mesh() and shape.vertex_count() == count and shape.has_vertex_texcoords():
+        places = np.array(shape.vertex_position(dr.arange(mi.UInt32, count)), dtype=np.float64).T
+        own = positions[:count]
         if np.abs(places - own).max() <= 1e-5 * max(float(np.ptp(own, axis=0).max()), 1e-300):
-            given = np.array(shape.vertex_texcoord(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T
-            return given[(mesh.faces[faces] - part.first) % part.count], np.ones(len(faces), dtype=bool)
+            given = np.array(shape.vertex_texcoord(dr.arange(mi.UInt32, count)), dtype=np.float64).T
+            return given[faces % count], np.ones(len(faces), dtype=bool)
     if shape.is_mesh() and not shape.has_vertex_texcoords():
         return np.zeros((len(faces), 3, 2)), np.zeros(len(faces), dtype=bool)
-    corners = mesh.positions[mesh.faces[faces]] - origin
+    corners = positions[faces]
     inside = corners + _INSIDE * (corners.mean(axis=1, keepdims=True) - corners)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

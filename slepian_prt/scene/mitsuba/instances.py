@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
 from slepian_prt.scene.mitsuba.shapes import ReceivingShape
 from slepian_prt.scene.mitsuba.triangles import mesh_of
@@ -61,7 +62,7 @@ class InstancedGroup(NamedTuple):
 
     def member_name(self, index: int) -> str:
         """What a shape of the group is called."""
-        return self.shapes[index].id() or f"shape_{index}"
+        return shape_name(self.shapes[index], index)
 
 
 def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.mitsuba.effects import ShapeOutcome
 from slepian_prt.scene.mitsuba.instances import (
     MOST_COPIES,
@@ -135,7 +136,7 @@ class _Sorter:
     def sort(self) -> SortedShapes:
         for index, shape in enumerate(self._loaded.shapes()):
             if shape.class_name() != "Instance":
-                self._take_alone(shape, shape.id() or f"shape_{index}")
+                self._take_alone(shape, shape_name(shape, index))
         left = MOST_VERTICES, MOST_COPIES
         for group in sorted(self._instanced, key=lambda group: sum(_size(shape) for shape in group.shapes)):
             left = self._take_group(group, *left)

@@ -21,7 +21,7 @@ from slepian_prt.scene.formats.parts import Material, MeshPart, Texture
 from slepian_prt.scene.left_out import GATHERED, TEXTURE_LOST, LeftOut
 from slepian_prt.scene.normals import face_areas
 from slepian_prt.scene.reflectance.barycentric import points_on
-from slepian_prt.scene.reflectance.textures import FilteredTexture, image_size
+from slepian_prt.scene.reflectance.textures import FilteredTexture, image_size, usable_uv
 
 log = logging.getLogger(__name__)
 
@@ -35,9 +35,6 @@ _FINEST_FACES = 0.1
 
 # Metal below this part of a material is not worth a remark.
 _METALLIC = 0.01
-
-# Texture coordinates beyond this are rubbish, and float32 has no fractions there.
-_LARGEST_UV = 2.0**24
 
 # What is decoded, by the identity of the texture and whether it is sRGB; None for what cannot be used.
 Textures = dict[tuple[int, bool], FilteredTexture | None]
@@ -102,8 +99,7 @@ def _metal_use(part: MeshPart) -> _Use | None:
 def _use(texture: Texture | None, uv: NDArray | None, is_srgb: bool) -> _Use | None:
     if texture is None or uv is None:
         return None
-    known = np.nan_to_num(np.asarray(uv, dtype=np.float64))
-    return _Use(texture, np.clip(known, -_LARGEST_UV, _LARGEST_UV), is_srgb)
+    return _Use(texture, usable_uv(uv), is_srgb)
 
 
 def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float32], float]:

@@ -6,7 +6,9 @@ from PIL import Image
 
 from slepian_prt.relighting.drawing.texture_lookup import TextureLookup
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
+from slepian_prt.relighting.files.painted_mesh import textured_faces
 from slepian_prt.scene.loading import open_scene
+from tests.numerics import assert_exact
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0.1 0\nvt 2 0.3\nvt 1 1.5\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
 
@@ -33,6 +35,13 @@ SHAPES = {
     "sphere": '<shape type="sphere" id="s">{}</shape>',
     "mesh": '<shape type="obj" id="m"><string name="filename" value="m.obj"/>{}</shape>',
 }
+for kind in ("mesh", "rectangle"):
+    SHAPES[f"instances of a {kind}"] = (
+        f'<shape type="shapegroup" id="g">{SHAPES[kind]}</shape>'
+        '<shape type="instance"><ref id="g"/><transform name="to_world"><scale x="2" y="-1"/>'
+        '<rotate x="1" angle="40"/><translate z="3"/></transform></shape>'
+        '<shape type="instance" id="second"><ref id="g"/></shape>'
+    )
 TURN = '<transform name="to_uv"><scale x="3" y="-2"/><rotate z="1" angle="30"/><translate x="0.2"/></transform>'
 
 
@@ -44,6 +53,8 @@ TURN = '<transform name="to_uv"><scale x="3" y="-2"/><rotate z="1" angle="30"/><
         ("rectangle", bitmap("mirror", TURN)),
         ("mesh", bitmap("repeat")),
         ("mesh", bitmap("mirror", TURN)),
+        ("instances of a mesh", bitmap("mirror", TURN)),
+        ("instances of a rectangle", bitmap("repeat", TURN, sides=True)),
         ("sphere", bitmap("repeat", '<transform name="to_uv"><scale x="2" y="1"/></transform>')),
     ],
 )
@@ -74,6 +85,22 @@ def test_places_on_faces_look_up_what_mitsuba_does(tmp_path, rng, shape, materia
         assert np.quantile(off, 0.95) < 0.06
     else:
         assert off.max() < 0.006
+
+
+def test_a_bitmap_of_several_shapes_is_one_texture(tmp_path):
+    """Also where materials of their own read it, so that a format with one texture for all holds it."""
+    shapes = (
+        SHAPES["rectangle"]
+        + SHAPES["mesh"].replace("{}", bitmap("repeat"))
+        + SHAPES["sphere"].replace("{}", bitmap("repeat", TURN))
+    )
+    path = scene_file(tmp_path, shapes, bitmap("repeat"))
+    with open_scene(path) as scene:
+        loaded = scene.mi.load_file(path, optimize=False)
+        detail = bitmap_detail(scene.mi, loaded, scene.origin, scene.mesh, scene.parts)
+    assert len(scene.parts) == 3
+    assert len(detail.textures) == 1
+    assert_exact(textured_faces(scene.mesh, detail), np.zeros(len(scene.mesh.faces)), "whole numbers")
 
 
 def test_other_textures_are_told(tmp_path):
