@@ -6,7 +6,6 @@ a surface is met that it does hold; textures are looked up at the point seen.
 
 from __future__ import annotations
 
-import gc
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -94,9 +93,6 @@ class SceneCamera:
     def picture(self, light: Light) -> Picture:
         """The scene under a light, against an empty background."""
         mi = self.mi
-        # Scenes of earlier pictures refer to themselves. While they live, their materials and emitters are compiled
-        # into every kernel, which then takes longer, and which Dr.Jit has been seen to abort at.
-        gc.collect()
         with _quiet(mi):
             integrator = scene_integrator(mi, self.packed, lighting=light.lighting)
             scene = _relit_scene(mi, self.loaded, light)
