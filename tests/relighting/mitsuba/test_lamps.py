@@ -112,6 +112,22 @@ def test_bounces_of_a_lamp_follow_it(mi, floor, log):
     np.testing.assert_allclose(more, middle(alone + np.array(ALBEDO) / 4) * [2.0, 3.0, 1.0], rtol=1e-5)
 
 
+def test_another_lamp_on_the_same_shapes(mi, floor):
+    """Scenes may share their objects; an integrator that drew one draws the other as a new one does."""
+    file, packed = floor
+    shared = lit_floor(mi, file).shapes()
+    scenes = [
+        mi.load_dict({"type": "scene", **{f"s{i}": one for i, one in enumerate(shared)}, kind: lamps(mi)[kind],
+                      "sensor": camera(mi, 24)})
+        for kind in ("point", "directional")
+    ]  # fmt: skip
+    dark = {"lighting": np.zeros((3, 4))}
+    ours = scene_integrator(mi, packed, **dark)
+    drawn = [picture(mi, scene, integrator=ours) for scene in scenes]
+    assert_same_picture(drawn[1], picture(mi, scenes[1], integrator=scene_integrator(mi, packed, **dark)), atol=1e-6)
+    assert np.abs(drawn[0] - drawn[1]).max() > 0.1
+
+
 @pytest.mark.parametrize("factor", [0.0, 0.5, 3.0])
 def test_lamps_may_be_dimmed(factor, mi, floor):
     """On held surfaces."""
