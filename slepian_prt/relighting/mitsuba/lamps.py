@@ -6,8 +6,9 @@ from typing import Any
 
 from slepian_prt.relighting.mitsuba.lobes import Material
 
-# Points on lamps that one is chosen from by what would arrive, before its shadow ray is traced.
-_CANDIDATES = 16
+# Shadow rays for the lamps at a held point, at most; and points on lamps, of one or of several lamps, that one of these
+# is chosen from by what would arrive.
+_RAYS, _CANDIDATES, _OF_SEVERAL = 4, 16, 8
 
 # Additive recurrences: a lamp by the golden ratio, a point on it by the root of x³ = x + 1 (Roberts 2018).
 _STEPS = (0.6180339887498949, 0.7548776662466927, 0.5698402909980532)
@@ -34,7 +35,10 @@ class Lamps:
         distant = [emitter for emitter in scene.emitters() if emitter.is_environment()]
         self._emitters = _joined(mi, [mi.EmitterPtr(emitter) for emitter in (*lamps, *distant)])
         self._has_surfaces = any(emitter.get_shape() is not None for emitter in lamps)
-        self._candidates = 1 if self.count == 1 and not self._has_surfaces else _CANDIDATES
+        self._rays = min(self.count, _RAYS)
+        self._candidates = _CANDIDATES if self.count == 1 else _OF_SEVERAL
+        if self.count <= _RAYS and not self._has_surfaces:
+            self._candidates = 1
 
     def sample(self, scene: Any, si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         """A direction to one of the emitters, each as likely.
@@ -94,6 +98,21 @@ class Lamps:
         return light
 
     def _on_held_toward(self, scene: Any, si: Any, material: Material, sampler: Any, active: Any) -> Any:
+        """By shadow rays, each to a part of the lamps."""
+        import drjit as dr
+
+        mi = self._mi
+        begin, on_it, choice = sampler.next_1d(), sampler.next_2d(), sampler.next_1d()
+
+        def look(ray: Any, light: Any) -> Any:
+            drawn = [_fraction(value + mi.Float(ray) * _STEPS[0]) for value in (begin, *on_it, choice)]
+            return ray + 1, light + self._one_ray(scene, si, material, ray, drawn, active)
+
+        state = (mi.UInt32(0), mi.UnpolarizedSpectrum(dr.zeros(mi.Float, dr.width(active))))
+        _, light = dr.while_loop(state, lambda ray, _: active & (ray < self._rays), look, label="slepian_prt: lamps")
+        return light / self._rays
+
+    def _one_ray(self, scene: Any, si: Any, material: Material, ray: Any, drawn: list[Any], active: Any) -> Any:
         """Resampled (Talbot et al. 2005): of M candidates one by w ∝ what it would bring, which counts as Σ w / (M w).
 
         The candidates are spread evenly over the lamps, so that Σ w has little noise, and only shadows have more.
@@ -101,14 +120,15 @@ class Lamps:
         import drjit as dr
 
         mi, count = self._mi, self._candidates
-        begin, on_it, choice = sampler.next_1d(), sampler.next_2d(), sampler.next_1d()
+        *begin, choice = drawn
 
         def look(number: Any, total: Any, choice: Any, place: Any, arriving: Any, chosen: Any) -> Any:
-            u = [value + mi.Float(number) * step for value, step in zip((begin, *on_it), _STEPS, strict=True)]
-            which, first, second = (value - dr.floor(value) for value in u)
+            steps = zip(begin, _STEPS, strict=True)
+            which, first, second = (_fraction(value + mi.Float(number) * step) for value, step in steps)
+            which = (mi.Float(ray) + which) / self._rays
             ds, light = self._toward(si, which, mi.Point2f(first, second), self.count, active)
             cosine = material.reflects_toward(si.to_local(ds.d))
-            light *= dr.select(ds.delta, 1.0, self._share(count * ds.pdf, cosine * dr.inv_pi))
+            light *= dr.select(ds.delta, 1.0, self._share(count * self._rays * ds.pdf, cosine * dr.inv_pi))
             weight = dr.select(active & (ds.pdf != 0.0), cosine * dr.mean(light), 0.0)
             weight = dr.select(dr.isfinite(weight) & (weight > 0.0), weight, 0.0)
             total = total + weight
@@ -121,7 +141,7 @@ class Lamps:
         none = dr.zeros(mi.Float, dr.width(active))
         state = (mi.UInt32(0), none, mi.Float(choice), mi.Point3f(si.p), mi.UnpolarizedSpectrum(none), mi.Float(none))
         _, total, _, place, arriving, chosen = dr.while_loop(
-            state, lambda number, *_: active & (number < count), look, label="slepian_prt: lamps"
+            state, lambda number, *_: active & (number < count), look, label="slepian_prt: candidates"
         )
         seen = active & (chosen > 0.0)
         seen &= ~scene.ray_test(si.spawn_ray_to(place), seen)
@@ -140,7 +160,7 @@ class Lamps:
         shines = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None))
         there = hit.compute_surface_interaction(ray, mi.RayFlags.All, shines)
         ds = mi.DirectionSample3f(scene, there, si)
-        of_lamps = ds.emitter.pdf_direction(si, ds, shines) * (self._candidates / self.count)
+        of_lamps = ds.emitter.pdf_direction(si, ds, shines) * (self._candidates * self._rays / self.count)
         light = mi.unpolarized_spectrum(ds.emitter.eval(there, shines)) * self._share(density, of_lamps)
         return dr.select(shines, material.held_from(wo, shines) * light / density, 0.0)
 
@@ -158,6 +178,12 @@ class Lamps:
     def _share(self, own: Any, other: Any) -> Any:
         """Of what is found in two ways, by their densities, that of the first; 1 where there is but one."""
         return power_heuristic(own, other) if self._has_surfaces else self._mi.Float(1.0)
+
+
+def _fraction(value: Any) -> Any:
+    import drjit as dr
+
+    return value - dr.floor(value)
 
 
 def power_heuristic(own: Any, other: Any) -> Any:
