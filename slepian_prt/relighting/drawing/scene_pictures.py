@@ -6,7 +6,6 @@ a surface is met that it does hold; textures are looked up at the point seen.
 
 from __future__ import annotations
 
-import gc
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -91,9 +90,6 @@ class SceneCamera:
     def picture(self, light: Light) -> tuple[Picture, list[str]]:
         """The scene under a light, against an empty background, and remarks on what of it is not drawn."""
         mi = self.mi
-        # Scenes of earlier pictures refer to themselves. While they live, their materials and emitters are compiled
-        # into every kernel, which then takes longer, and which Dr.Jit has been seen to abort at.
-        gc.collect()
         with silent(mi):
             emitters = self.loaded.emitters()
             lamps = {name: emitters[place] for name, place in lamp_places(mi, self.loaded).items()}

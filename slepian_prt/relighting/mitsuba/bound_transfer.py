@@ -55,9 +55,9 @@ class BoundTransfer:
         self._damping = damping(self.packed.bandlimit)
         self._fixed_lights = fixed_lights
         self._warned_of_negative = False
-        # Of the scene that was drawn last. It is not held itself, because it holds the integrator; its shapes are, so
-        # that no others are taken for them.
-        self._shapes: list[Any] = []
+        # Of the scene that was drawn last. It is not held itself, because it holds the integrator; its shapes and
+        # emitters are, so that no others are taken for them.
+        self._objects: list[Any] = []
         self._matched: Any = None
         self._surfaces: Any = None
         self._vertex_radiance: Any = None
@@ -71,7 +71,7 @@ class BoundTransfer:
             raise UserError(f"albedo of {self.name} must have shape {wanted}, not {self.albedo.shape}")
 
     def bind(self, scene: Any) -> bool:
-        """Match the shapes of the file to a scene; again only if it is another one, or vertices were moved.
+        """Match shapes and lamps of the file to a scene; again only if it has others, or vertices were moved.
 
         Returns
         -------
@@ -82,8 +82,8 @@ class BoundTransfer:
         UserError
             As `match_shapes`; or transfer toward a camera in a model that is turned.
         """
-        shapes = list(scene.shapes())
-        same = self._matched is not None and [s.ptr for s in shapes] == [s.ptr for s in self._shapes]
+        objects = [*scene.shapes(), *scene.emitters()]
+        same = self._matched is not None and [one.ptr for one in objects] == [one.ptr for one in self._objects]
         if same and not self._matched.vertices_changed(self._mi):
             return False
         matched = match_shapes(self._mi, scene, self.packed, self.name)
@@ -93,7 +93,7 @@ class BoundTransfer:
         surfaces = Surfaces(self._mi, matched, self.packed.mesh)
         self._vertex_radiance = VertexRadiance(self._mi, self.packed, turn, self._damping, self._lighting)
         self._bounced = BouncedLight(self._mi, self.packed.fixed, scene, self._fixed_lights, self._lamps)
-        self._matched, self._surfaces, self._shapes = matched, surfaces, shapes
+        self._matched, self._surfaces, self._objects = matched, surfaces, objects
         return True
 
     def light(self, scene: Any) -> None:
