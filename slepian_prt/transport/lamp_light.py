@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.renderer.shape_names import shape_name
+from slepian_prt.scene.face_table import interactions
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.transport.hemisphere import upload_origins
 
@@ -197,7 +198,9 @@ class LampTracer:
         outward = mi.Frame3f(it.n).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
         cosine = dr.maximum(dr.dot(it.n, outward), 0.0) * dr.inv_pi
         ray = mi.Ray3f(origin_of(place, outward), outward)
-        hit = geometry.ray_intersect(ray, (dr.squared_norm(it.n) > 0.5) & (cosine > 0.0))
+        met = geometry.ray_intersect_preliminary(ray, active=(dr.squared_norm(it.n) > 0.5) & (cosine > 0.0))
+        shining = [shape for shape in self.scene.loaded.shapes() if shape.is_emitter()]
+        hit = interactions(mi, shining, ray, met, mi.RayFlags.All)
         self.rays += dr.width(place)
         emitter = hit.emitter(geometry)
         group_of, samples_of_it = self._groups_by_number(toward)
