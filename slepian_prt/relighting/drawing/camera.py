@@ -264,20 +264,16 @@ def _trace_barycentric(
     facing = np.array(toward)
     seen = np.zeros(facing.size, dtype=bool)
     shape = (seen.size, len(scene.mesh.positions))
-    barycentric = csr_array(shape, dtype=np.float32)
-    for part, mesh in zip(scene.parts, scene.shapes, strict=False):
-        on_part = np.array(hit.is_valid() & (hit.shape == mi.ShapePtr(mesh)))
-        if not on_part.any():
-            continue
-        rays = np.flatnonzero(on_part)
-        corners = np.array(mesh.face_indices(hit.prim_index, mi.Bool(on_part)))[:, rays].astype(np.int64) + part.first
-        corners = np.where(facing[rays], corners, backs[corners])
-        kept = (corners >= 0).all(axis=0)
-        rays, corners = rays[kept], corners[:, kept]
-        u, v = np.array(hit.prim_uv)[:, rays]
-        entries = np.concatenate([1.0 - u - v, u, v]).astype(np.float32)
-        barycentric = barycentric + csr_array((entries, (np.tile(rays, 3), corners.ravel())), shape=shape)
-        seen[rays] = True
+    face = np.array(scene.hit_faces(hit))
+    rays = np.flatnonzero(face >= 0)
+    corners = scene.faces[face[rays]].T.astype(np.int64)
+    corners = np.where(facing[rays], corners, backs[corners])
+    kept = (corners >= 0).all(axis=0)
+    rays, corners = rays[kept], corners[:, kept]
+    u, v = np.array(hit.prim_uv)[:, rays]
+    entries = np.concatenate([1.0 - u - v, u, v]).astype(np.float32)
+    barycentric = csr_array((entries, (np.tile(rays, 3), corners.ravel())), shape=shape)
+    seen[rays] = True
     reflectance = np.ones((1, seen.size), dtype=np.float32)
     if textures is not None:
         u, v = hit.prim_uv

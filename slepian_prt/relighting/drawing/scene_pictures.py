@@ -28,6 +28,7 @@ from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
+from slepian_prt.scene.mitsuba.instances import groups_in
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import Aim
 from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
@@ -132,7 +133,8 @@ def environment_of(lighting: NDArray[np.float64]) -> Environment:
 
 def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     """The shapes and lamps of a scene under another distant light."""
-    entries: dict[str, Any] = {f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
+    entries: dict[str, Any] = {f"group_{index}": group for index, group in enumerate(groups_in(mi, loaded))}
+    entries |= {f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
     on_shapes = mi.EmitterFlags.Surface
     for index, emitter in enumerate(loaded.emitters()):
         if not emitter.is_environment() and not mi.has_flag(emitter.flags(), on_shapes):

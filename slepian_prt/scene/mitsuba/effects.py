@@ -6,12 +6,9 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED, LeftOut
+from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED, TEXTURE_LOST, LeftOut
 from slepian_prt.scene.reflectance import materials
 from slepian_prt.scene.reflectance.bsdf_parts import PERTURBING, all_bsdfs
-
-# A texture that vertices miss by less than this needs no row.
-_TEXTURE_LOST = 0.05
 
 # Materials or shapes that a row names.
 _NAMED = 3
@@ -182,7 +179,7 @@ def _own_effects(mi: Any, bsdf: Any) -> list[str]:
 
 def _texture_rows(shapes: Sequence[_Described], verdict: str) -> list[LeftOut]:
     """What vertices miss of textures, as the RMS over the surfaces that miss enough to be told."""
-    some = [shape for shape in shapes if shape.outcome.texture_lost >= _TEXTURE_LOST]
+    some = [shape for shape in shapes if shape.outcome.texture_lost >= TEXTURE_LOST]
     if not some:
         return []
     area = max(sum(shape.area for shape in some), 1e-300)

@@ -76,11 +76,7 @@ def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
     UserError
         An instance whose transform cannot be used, or of a group without shapes, which Mitsuba cannot trace.
     """
-    groups = {
-        group.id(): InstancedGroup(group.id(), list(shapes_in(mi, group)), [])
-        for group in _objects_in(mi, loaded)
-        if group.class_name().startswith("ShapeGroup")
-    }
+    groups = {group.id(): InstancedGroup(group.id(), list(shapes_in(mi, group)), []) for group in groups_in(mi, loaded)}
     instances = [shape for shape in loaded.shapes() if shape.class_name() == "Instance"]
     for number, shape in enumerate(instances):
         name = shape.id() or f"instance_{number}"
@@ -97,6 +93,11 @@ def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
             raise UserError(f"{path}: instance '{name}': its group '{group.name}' has no shapes; give it some")
         group.instances.append(Instance(name, matrix))
     return [group for group in groups.values() if group.instances]
+
+
+def groups_in(mi: Any, loaded: Any) -> list[Any]:
+    """The groups of shapes of a Mitsuba scene; without them its instances cannot be put into another."""
+    return [thing for thing in _objects_in(mi, loaded) if thing.class_name().startswith("ShapeGroup")]
 
 
 def shapes_in(mi: Any, group: Any) -> list[Any]:

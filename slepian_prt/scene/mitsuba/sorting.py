@@ -164,7 +164,12 @@ class _Sorter:
         names = group.names()
         found = [self._triangles(shape, name, stretch) for shape, name in zip(group.shapes, names, strict=True)]
         times = len(group.instances)
-        each = sum(len(triangles.positions) for triangles, _ in found if triangles is not None)
+        # Backs have vertices of their own, where they are open: that is not known yet.
+        each = sum(
+            (2 if materials.reflects_on_both_sides(self._mi, shape.bsdf()) else 1) * len(triangles.positions)
+            for shape, (triangles, _) in zip(group.shapes, found, strict=True)
+            if triangles is not None
+        )
         wanted = times * each, times * sum(triangles is not None for triangles, _ in found)
         fits = wanted[0] <= vertices and wanted[1] <= copies
         casting = []
