@@ -42,6 +42,9 @@ _EFFECTS = {
 # BSDFs that have the flags of those nested in them, and the effect that is their own.
 _WRAPPING = {"TwoSidedBRDF": "", "BlendBSDF": "", "MaskBSDF": "opacity", **PERTURBING}
 
+# BSDFs with a null lobe that are not seen through as holes are.
+_WITHOUT_HOLES = ("ThinDielectric", "Hair")
+
 _TOWARD_VIEW = "transfer toward a camera does not hold it"
 
 
@@ -168,8 +171,8 @@ def _own_effects(mi: Any, bsdf: Any) -> list[str]:
         "gloss": (flags.GlossyReflection,),
         "mirror": (flags.DeltaReflection,),
         "transmission": (flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission),
-        # Thin glass, too, has what goes straight through it as a hole.
-        "transmission" if kind == "ThinDielectric" else "opacity": (flags.Null,),
+        # Thin glass, too, has what goes straight through it as a hole, and so does hair, which has none.
+        "transmission" if kind in _WITHOUT_HOLES else "opacity": (flags.Null,),
     }
     return [effect for effect, some in wanted.items() if any(mi.has_flag(bsdf.flags(), flag) for flag in some)]
 

@@ -64,6 +64,10 @@ class InstancedGroup(NamedTuple):
         """What a shape of the group is called."""
         return shape_name(self.shapes[index], index)
 
+    def names(self) -> list[str]:
+        """What its shapes are called in the scene."""
+        return [f"{self.name}/{self.member_name(index)}" for index in range(len(self.shapes))]
+
 
 def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
     """The groups of a Mitsuba scene that have instances.
@@ -113,6 +117,11 @@ def _objects_in(mi: Any, parent: Any) -> list[Any]:
 
     parent.traverse(Collector())
     return found
+
+
+def copy_name(name: str, instance: Instance) -> str:
+    """What the copy of a shape is called that an instance places; the shape as `InstancedGroup.names` has it."""
+    return f"{instance.name}/{name.rsplit('/', 1)[-1]}"
 
 
 def placed(mi: Any, receiving: ReceivingShape, instance: Instance, name: str) -> ReceivingShape:

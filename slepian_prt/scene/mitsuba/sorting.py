@@ -17,6 +17,7 @@ from slepian_prt.scene.mitsuba.instances import (
     Instance,
     InstancedGroup,
     casting_shadows,
+    copy_name,
     instanced_groups,
     placed,
 )
@@ -161,7 +162,7 @@ class _Sorter:
     def _take_group(self, group: InstancedGroup, vertices: int, copies: int) -> tuple[int, int]:
         """Take the shapes of a group; returns how many vertices and copies others may have."""
         stretch = max(instance.stretch for instance in group.instances)
-        names = [f"{group.name}/{group.member_name(index)}" for index in range(len(group.shapes))]
+        names = group.names()
         found = [self._triangles(shape, name, stretch) for shape, name in zip(group.shapes, names, strict=True)]
         times = len(group.instances)
         # Backs have vertices of their own, where they are open: that is not known yet.
@@ -206,8 +207,7 @@ class _Sorter:
         receiving = receiving_shape(mi, candidate.shape, name, f"{self._path}: shape '{name}'", triangles)
         made = [receiving]
         if candidate.instances is not None:
-            member = name.rsplit("/", 1)[-1]
-            made = [placed(mi, receiving, instance, f"{instance.name}/{member}") for instance in candidate.instances]
+            made = [placed(mi, receiving, instance, copy_name(name, instance)) for instance in candidate.instances]
         area = sum(float(face_areas(shape.mesh.positions, shape.mesh.faces).sum()) for shape in made)
         result.outcomes[candidate.outcome] = result.outcomes[candidate.outcome]._replace(
             area=area, sides=1, texture_lost=receiving.texture_lost
