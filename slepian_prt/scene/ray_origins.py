@@ -154,9 +154,9 @@ def _look_around(scene: Scene, origins: NDArray, axes: NDArray, near: NDArray) -
         world = np.einsum("nij,kj->nki", rotation_to(axes[block]), local).reshape(-1, 3)
         origin, nearest = (np.repeat(values[block], _DIRECTIONS, axis=0) for values in (origins, near))
         ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(world.T.astype(np.float32)))
-        hit = scene.geometry.ray_intersect(ray, mi.RayFlags.Minimal, True)
+        hit = scene.geometry.ray_intersect_preliminary(ray)
         valid = hit.is_valid()
-        shut = scene.meets_dark_back(hit, ray.d) | (valid & (hit.t < mi.Float(nearest.astype(np.float32))))
+        shut = scene.meets_dark_back(ray, hit) | (valid & (hit.t < mi.Float(nearest.astype(np.float32))))
         sky[block] = 1.0 - np.array(valid).reshape(-1, _DIRECTIONS).mean(axis=1)
         closed[block] = np.array(shut).reshape(-1, _DIRECTIONS).mean(axis=1)
     return sky, closed

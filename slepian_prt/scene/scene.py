@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.scene.face_table import FaceTable, interactions
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
@@ -123,16 +124,10 @@ class Scene:
         return np.where(self.receivers.active[:, None], (self.receivers.positions - self.origin) / self.scale, 0.0)
 
     @cached_property
-    def _first_face(self) -> Any:
-        """The first face of each receiver by Dr.Jit's number of the shape; -1 for what only casts shadows."""
-        import drjit as dr
-
-        mi = self.mi
-        numbers = [int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)))[0]) for shape in self.shapes]
-        first = np.full(max(numbers) + 1, -1, dtype=np.int32)
-        for number, face in zip(numbers, self.first_faces, strict=False):
-            first[number] = face
-        return mi.Int32(first)
+    def face_table(self) -> FaceTable:
+        """Which of ``faces`` rays meet, and their normals in the space that Mitsuba traces in."""
+        receiving = self.shapes[: len(self.parts)]
+        return FaceTable(self.mi, receiving, self.first_faces, self.traced_positions[self.faces])
 
     @cached_property
     def faces_behind(self) -> NDArray[np.int32]:
@@ -158,24 +153,20 @@ class Scene:
 
     def hit_faces(self, hit: Any) -> Any:
         """Rows of ``faces`` that rays met (a preliminary intersection); negative for occluders and the sky."""
+        return self.face_table.met(hit)
+
+    def meets_dark_back(self, ray: Any, hit: Any) -> Any:
+        """Whether rays met the back of a surface (a preliminary intersection), and none that light is computed on."""
         import drjit as dr
 
-        mi = self.mi
-        valid = hit.is_valid() & (hit.instance == None)  # noqa: E711 (of an instance the shape is one of its group)
-        number: Any = dr.reinterpret_array(mi.UInt32, hit.shape)
-        first = dr.gather(mi.Int32, self._first_face, number, valid)
-        return dr.select(valid & (first >= 0), first + mi.Int32(hit.prim_index), -1)
-
-    def meets_dark_back(self, hit: Any, direction: Any) -> Any:
-        """Whether rays met the back of a surface (a surface interaction), and none that light is computed on."""
-        import drjit as dr
-
-        back = hit.is_valid() & (dr.dot(hit.n, direction) > 0.0)
-        if all(part.sides == 1 for part in self.parts):
-            return back
         face = self.hit_faces(hit)
-        holds_light = self.mi.Bool(self.faces_behind[:, 0] >= 0)
-        return back & ~dr.gather(self.mi.Bool, holds_light, face, back & (face >= 0))
+        back = dr.dot(self.face_table.normals(face), ray.d) > 0.0
+        if any(part.sides == 2 for part in self.parts):
+            holds_light = self.mi.Bool(self.faces_behind[:, 0] >= 0)
+            back &= ~dr.gather(self.mi.Bool, holds_light, face, face >= 0)
+        # Instances are not asked: each would have all shapes traced.
+        others = [shape for shape in self.occluders if shape.class_name() != "Instance"]
+        return back | (dr.dot(interactions(self.mi, others, ray, hit, self.mi.RayFlags.Minimal).n, ray.d) > 0.0)
 
     @property
     def occluders(self) -> tuple[Any, ...]:

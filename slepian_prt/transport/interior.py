@@ -69,7 +69,6 @@ def sees_backs(scene: Scene, vertices: NDArray) -> NDArray[np.bool_]:
     """(n,) True where most of what is around a vertex turns its back to it: where it is inside something."""
     if vertices.size == 0:
         return np.zeros(0, dtype=bool)
-    mi = scene.mi
     directions = direction_set(_NODES)
     tracer = HemisphereRays(scene, directions, 0)
     result = np.zeros(vertices.size, dtype=bool)
@@ -77,7 +76,6 @@ def sees_backs(scene: Scene, vertices: NDArray) -> NDArray[np.bool_]:
     for begin in range(0, vertices.size, size):
         block = vertices[begin : begin + size]
         ray = tracer.rays_from(block, tracer.frames(block))(*tracer.to_nodes(block.size))
-        hit = tracer.geometry.ray_intersect(ray, mi.RayFlags.Minimal, True)
-        back = scene.meets_dark_back(hit, ray.d)
+        back = scene.meets_dark_back(ray, tracer.geometry.ray_intersect_preliminary(ray))
         result[begin : begin + size] = np.array(back).reshape(block.size, directions.size).mean(axis=1) > 0.5
     return result

@@ -200,27 +200,22 @@ class _Gatherer(HemisphereRays):
     """Closest hits along the nodes of a direction set, as weights of the vertices that they lie between."""
 
     def __init__(self, scene: Scene, directions: DirectionSet, seed: int) -> None:
-        mi = scene.mi
-
         super().__init__(scene, directions, seed)
         self._faces, self._behind = scene.faces, scene.faces_behind
         self._reflects_behind = np.repeat(np.array(scene.two_sided), np.diff([*scene.first_faces, len(scene.faces)]))
-        corners = scene.traced_positions[scene.faces]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._face_normals = mi.Vector3f(normals.T.astype(np.float32))
         self._scene = scene
 
     def gather(self, vertices: NDArray, blocked: NDArray | None) -> _GatherBlock:
         """Trace a block of receivers; rows are scaled to the blocked part of each hemisphere where that is known."""
         import drjit as dr
 
-        mi, directions, count = self.mi, self.directions, len(vertices)
+        directions, count = self.directions, len(vertices)
         ray = self.rays_from(vertices, self.frames(vertices))(*self.to_nodes(count))
         hit = self.geometry.ray_intersect_preliminary(ray)
         valid = hit.is_valid()
         face = self._scene.hit_faces(hit)
         receives = face >= 0
-        front = receives & (dr.dot(dr.gather(mi.Vector3f, self._face_normals, face, receives), ray.d) < 0.0)
+        front = receives & (dr.dot(self._scene.face_table.normals(face), ray.d) < 0.0)
         u, v = hit.prim_uv
         dr.eval(valid, receives, front, face, u, v)
         weight = np.tile(directions.weights.astype(np.float32), count)

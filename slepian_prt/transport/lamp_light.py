@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.renderer.shape_names import shape_name
+from slepian_prt.scene.face_table import interactions
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.transport.hemisphere import upload_origins
 
@@ -148,7 +150,7 @@ class LampTracer:
         shining = {i: shape for i, shape in enumerate(scene.loaded.shapes()) if shape.is_emitter()}
         if not shining:
             return scene.geometry
-        names = {shape.id() or f"shape_{i}" for i, shape in shining.items()}
+        names = {shape_name(shape, i) for i, shape in shining.items()}
         receiving = [shape for shape, part in zip(scene.shapes, scene.parts, strict=False) if part.name not in names]
         occluders = [shape for shape in scene.occluders if not shape.is_emitter()]
         return mitsuba_scene(replace(scene, shapes=(*receiving, *occluders, *shining.values())))
@@ -196,7 +198,9 @@ class LampTracer:
         outward = mi.Frame3f(it.n).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
         cosine = dr.maximum(dr.dot(it.n, outward), 0.0) * dr.inv_pi
         ray = mi.Ray3f(origin_of(place, outward), outward)
-        hit = geometry.ray_intersect(ray, (dr.squared_norm(it.n) > 0.5) & (cosine > 0.0))
+        met = geometry.ray_intersect_preliminary(ray, active=(dr.squared_norm(it.n) > 0.5) & (cosine > 0.0))
+        shining = [shape for shape in self.scene.loaded.shapes() if shape.is_emitter()]
+        hit = interactions(mi, shining, ray, met, mi.RayFlags.All)
         self.rays += dr.width(place)
         emitter = hit.emitter(geometry)
         group_of, samples_of_it = self._groups_by_number(toward)

@@ -157,7 +157,12 @@ def test_a_reference_is_traced_with_the_sky_itself(rng):
         emitter = sunsky(mi, 30.0, UP_Y)
         environment = emitted_environment(mi, emitter, "test")
         assert environment_emitter(mi, environment) is emitter
-        for other in (environment.rotated(10.0), make_environment(rng.random((4, 8, 3)))):
+        assert environment_emitter(mi, environment.turned(np.eye(3))) is emitter
+        for other in (
+            environment.rotated(10.0),
+            environment.turned(about_up(10.0)),
+            make_environment(rng.random((4, 8, 3))),
+        ):
             assert environment_emitter(mi, other)["type"] == "envmap"
 
 

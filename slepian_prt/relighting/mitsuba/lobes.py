@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,18 +9,18 @@ import numpy as np
 
 from slepian_prt.relighting.mitsuba.cache import Cached
 from slepian_prt.relighting.mitsuba.spectra import srgb_to_spectrum
+from slepian_prt.scene.reflectance.bsdf_parts import all_bsdfs, is_textured
 
 # Kinds of materials: without diffuse reflection; with nothing else (and no texture); with nothing else; with lobes that
 # can be evaluated one by one; with lobes that cannot.
 NOT_DIFFUSE, PLAIN, LAMBERTIAN, SPLIT, WHOLE = range(5)
 
-# Names by which materials, and what they hold, print themselves.
-_LAMBERTIAN = {"SmoothDiffuse", "TwoSided", "brdf"}
+# BSDFs that are nothing but Lambertian, and those whose lobes can be evaluated one by one.
+_LAMBERTIAN = {"SmoothDiffuse", "TwoSidedBRDF"}
 _SPLIT = _LAMBERTIAN | {
     "SmoothPlastic", "RoughPlastic", "SmoothConductor", "RoughConductor", "SmoothDielectric", "ThinDielectric",
-    "RoughDielectric", "Null", "Mask", "BlendBSDF", "nested_bsdf",
+    "RoughDielectric", "Null", "MaskBSDF", "BlendBSDF",
 }  # fmt: skip
-_TEXTURES = {"BitmapTexture", "Checkerboard", "MeshAttribute", "Transform"}
 
 # How often the light of a material that cannot be split is looked for by the cosine alone: where the material itself
 # never looks, what a Lambertian one would reflect must still be taken off.
@@ -34,11 +33,10 @@ def material_kind(mi: Any, bsdf: Any) -> int:
     ``principled``, ``hair`` and measured materials take no notice of what lobe is asked for, and bumps give a lobe
     another shape; so do, for all we know, materials that are not known here.
     """
-    flags, named = mi.BSDFFlags, set(re.findall(r"(\w+)(?:\[\d+\] = \w+)?\[", str(bsdf)))
-    known = {name for name in named if not re.search("Spectrum$", name)} - _TEXTURES
+    flags, kinds = mi.BSDFFlags, {part.class_name() for part in all_bsdfs(mi, bsdf)}
     if not mi.has_flag(bsdf.flags(), flags.DiffuseReflection):
         return NOT_DIFFUSE
-    if "Principled" in str(bsdf) or not known or not known <= _SPLIT:
+    if not kinds <= _SPLIT:
         return WHOLE
     others = (
         flags.Null, flags.DiffuseTransmission, flags.GlossyReflection, flags.GlossyTransmission,
@@ -46,8 +44,7 @@ def material_kind(mi: Any, bsdf: Any) -> int:
     )  # fmt: skip
     if any(mi.has_flag(bsdf.flags(), flag) for flag in others):
         return SPLIT
-    textured = not all(re.search("Spectrum$", name) for name in named - _LAMBERTIAN)
-    return LAMBERTIAN if textured else PLAIN
+    return PLAIN if kinds <= _LAMBERTIAN and not is_textured(mi, bsdf) else LAMBERTIAN
 
 
 class Lobes:

@@ -36,6 +36,8 @@ _MEANINGS: tuple[tuple[str, str], ...] = (
     (r'unresolved reference to "([^"]*)".*', r"nothing has the id '\1' that is referred to"),
     (r'duplicate ID: "([^"]*)" \(previous was at .*?\(line (\d+), col \d+\)\)', r"the id '\1' is that of line \2 too"),
     (r'"([^"]*)": read \d+ out of \d+ bytes', r"\1: is damaged, it ends too early"),
+    (r'Could not map "([^"]*)" to memory', r"\1: the file is empty, or cannot be read"),
+    (r"Storing new normals in a Mesh that didn't have normals.*", r"it has no faces"),
     (r"std::bad_cast", r"the type or id of something is no string"),
     (r"Bitmap: Unknown file format", r"no picture that Mitsuba can read"),
     (r"Exceeded maximum include recursion.*", r"files include each other in a circle"),

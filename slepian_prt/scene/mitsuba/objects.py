@@ -53,7 +53,8 @@ def scene_of(mi: Any, thing: Any, origin: str) -> Any:
         for shape, name in zip(shapes, before, strict=True):
             shape.set_id(name)
         return made
-    kind = "several objects" if isinstance(thing, list) else f"a {type(thing).__name__}"
+    name = type(thing).__name__
+    kind = "several objects" if isinstance(thing, list) else f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"
     raise UserError(f"{origin}: is {kind} of Mitsuba, and light needs surfaces; give a scene or a shape")
 
 

@@ -58,6 +58,10 @@ def parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, few
 
     def evaluate(uv: NDArray) -> tuple[NDArray, NDArray]:
         positions, normals = PARAMETRIC[kind](uv[:, 0], uv[:, 1])
+        if kind == "Sphere":  # Mitsuba's stays round under any transform, as large as that makes its x axis
+            outward = positions @ linear.T
+            outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+            return np.linalg.norm(linear[:, 0]) * outward + offset, outward
         normals = normals @ np.linalg.inv(linear)
         return positions @ linear.T + offset, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.scene.mesh import Mesh, check_geometry, make_mesh
-from slepian_prt.scene.mitsuba.parametric import PARAMETRIC, cut_cube, parametric
+from slepian_prt.scene.mitsuba.parametric import PARAMETRIC, cut_cube, fewest_cuts, parametric
 from slepian_prt.scene.mitsuba.triangles import Triangles, along_normals, faceted, mesh_of, triangles_of
 from slepian_prt.scene.normals import face_areas
 from slepian_prt.scene.reflectance.materials import diffuse_reflectance, vertex_reflectance
@@ -108,6 +108,19 @@ def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> NDArr
     return diffuse_reflectance(
         mi, receiving.shape, triangles.positions, receiving.mesh.normals, triangles.faces, origin, side=-1
     )
+
+
+def without_emission(mi: Any, shape: Any, diagonal: float) -> Any:
+    """The surface of a shape that shines as a mesh that does not; of the whole scene's ``diagonal``.
+
+    What has neither vertices nor a formula is returned as it is.
+    """
+    name = shape.id() or "lamp"
+    triangles = shape_triangles(mi, shape, name, diagonal, fewest_cuts(1))
+    if triangles is None:
+        return shape
+    mesh = make_mesh(triangles.positions, triangles.faces, normals=triangles.normals, name=name, origin=name)
+    return mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
 
 
 def mitsuba_mesh(mi: Any, mesh: Mesh) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.mitsuba.effects import ShapeOutcome
 from slepian_prt.scene.mitsuba.instances import (
     MOST_COPIES,
@@ -16,6 +17,7 @@ from slepian_prt.scene.mitsuba.instances import (
     Instance,
     InstancedGroup,
     casting_shadows,
+    copy_name,
     instanced_groups,
     placed,
 )
@@ -135,7 +137,7 @@ class _Sorter:
     def sort(self) -> SortedShapes:
         for index, shape in enumerate(self._loaded.shapes()):
             if shape.class_name() != "Instance":
-                self._take_alone(shape, shape.id() or f"shape_{index}")
+                self._take_alone(shape, shape_name(shape, index))
         left = MOST_VERTICES, MOST_COPIES
         for group in sorted(self._instanced, key=lambda group: sum(_size(shape) for shape in group.shapes)):
             left = self._take_group(group, *left)
@@ -160,10 +162,15 @@ class _Sorter:
     def _take_group(self, group: InstancedGroup, vertices: int, copies: int) -> tuple[int, int]:
         """Take the shapes of a group; returns how many vertices and copies others may have."""
         stretch = max(instance.stretch for instance in group.instances)
-        names = [f"{group.name}/{group.member_name(index)}" for index in range(len(group.shapes))]
+        names = group.names()
         found = [self._triangles(shape, name, stretch) for shape, name in zip(group.shapes, names, strict=True)]
         times = len(group.instances)
-        each = sum(len(triangles.positions) for triangles, _ in found if triangles is not None)
+        # Backs have vertices of their own, where they are open: that is not known yet.
+        each = sum(
+            (2 if materials.reflects_on_both_sides(self._mi, shape.bsdf()) else 1) * len(triangles.positions)
+            for shape, (triangles, _) in zip(group.shapes, found, strict=True)
+            if triangles is not None
+        )
         wanted = times * each, times * sum(triangles is not None for triangles, _ in found)
         fits = wanted[0] <= vertices and wanted[1] <= copies
         casting = []
@@ -200,8 +207,7 @@ class _Sorter:
         receiving = receiving_shape(mi, candidate.shape, name, f"{self._path}: shape '{name}'", triangles)
         made = [receiving]
         if candidate.instances is not None:
-            member = name.rsplit("/", 1)[-1]
-            made = [placed(mi, receiving, instance, f"{instance.name}/{member}") for instance in candidate.instances]
+            made = [placed(mi, receiving, instance, copy_name(name, instance)) for instance in candidate.instances]
         area = sum(float(face_areas(shape.mesh.positions, shape.mesh.faces).sum()) for shape in made)
         result.outcomes[candidate.outcome] = result.outcomes[candidate.outcome]._replace(
             area=area, sides=1, texture_lost=receiving.texture_lost

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.scene.face_table import FaceTable
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mitsuba.shapes import ReceivingShape
 from slepian_prt.scene.normals import face_areas
@@ -59,7 +60,7 @@ def open_behind(
     rng = np.random.default_rng(_SEED)
     begins = [_points_behind(shapes[number], count, rng) for number in chosen]
     points = _Points(*(np.concatenate(values) for values in zip(*begins, strict=True)))
-    held = _numbers(mi, [shape.shape for shape in shapes if not shape.shines])
+    held = _faces_of(mi, [shape for shape in shapes if not shape.shines])
     is_open = _lead_out(mi, geometry, points, held, rng).reshape(len(chosen), -1).mean(axis=1) > _OPEN
     for eye in eyes:
         is_open |= _are_seen(mi, geometry, points, eye).reshape(len(chosen), -1).mean(axis=1) > _OPEN
@@ -112,18 +113,15 @@ def _points_behind(shape: ReceivingShape, count: int, rng: np.random.Generator) 
     return _Points(places - away[:, None] * normal, -normal)
 
 
-def _numbers(mi: Any, shapes: Sequence[Any]) -> NDArray[np.uint32]:
-    """The numbers that Dr.Jit knows shapes by."""
-    import drjit as dr
+def _faces_of(mi: Any, shapes: Sequence[ReceivingShape]) -> FaceTable:
+    counts = [len(shape.triangles.faces) for shape in shapes]
+    corners = [shape.mesh.positions[shape.triangles.faces] for shape in shapes]
+    first = np.cumsum([0, *counts])[:-1].tolist()
+    return FaceTable(mi, [shape.shape for shape in shapes], first, np.concatenate([np.zeros((0, 3, 3)), *corners]))
 
-    pointers = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape)) for shape in shapes]
-    return np.array([np.array(pointer)[0] for pointer in pointers], dtype=np.uint32)
 
-
-def _lead_out(
-    mi: Any, geometry: Any, points: _Points, held: NDArray[np.uint32], rng: np.random.Generator
-) -> NDArray[np.bool_]:
-    """(n,) whether a way of a few rays meets anything but shapes of the numbers that are ``held``."""
+def _lead_out(mi: Any, geometry: Any, points: _Points, held: FaceTable, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(n,) whether a way of a few rays meets anything but faces that are ``held``."""
     import drjit as dr
 
     out = np.zeros(len(points.places), dtype=bool)
@@ -135,17 +133,21 @@ def _lead_out(
         way += outward  # by Lambert's law
         way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-300)
         ray = mi.Ray3f(mi.Point3f(places.T.astype(np.float32)), mi.Vector3f(way.T.astype(np.float32)))
-        hit = geometry.ray_intersect(ray, mi.RayFlags.Minimal, True)
-        number = np.array(dr.reinterpret_array(mi.UInt32, hit.shape))
-        goes_on = np.array(hit.is_valid() & (hit.instance == None)) & np.isin(number, held)  # noqa: E711
+        hit = geometry.ray_intersect_preliminary(ray)
+        face = held.met(hit)
+        normals, distance = held.normals(face), mi.Float(hit.t)
+        dr.eval(face, normals, distance)
+        goes_on = np.array(face) >= 0
         out[inside[~goes_on]] = True
         inside, way = inside[goes_on], way[goes_on]
         if inside.size == 0:
             break
-        length = np.array(hit.t, dtype=np.float64)[goes_on]
-        normal = np.array(hit.n, dtype=np.float64).T[goes_on]
-        places = places[goes_on] + (1.0 - _SHORT) * length[:, None] * way
+        length = np.array(distance, dtype=np.float64)[goes_on]
+        normal = np.array(normals, dtype=np.float64).T[goes_on]
         outward = normal * np.where(np.einsum("ij,ij->i", normal, way) > 0.0, -1.0, 1.0)[:, None]
+        places = places[goes_on] + (1.0 - _SHORT) * length[:, None] * way
+        # Rays that graze a wall would start in it, within what rounding moves them.
+        places += _UNITS * np.spacing(np.abs(places).max(axis=1).astype(np.float32))[:, None] * outward
     return out
 
 

@@ -41,6 +41,8 @@ def materials(mi):
         "thin": ({"type": "principledthin", "base_color": RED, "diff_trans": 0.7}, WHOLE),
         "normalmap": ({"type": "normalmap", "normalmap": bumps, "bsdf": DIFFUSE}, WHOLE),
         "bumpmap": ({"type": "bumpmap", "scale": 0.05, "texture": bumps, "bsdf": plastic}, WHOLE),
+        "two_bumps": ({"type": "twosided", "bsdf": {"type": "bumpmap", "texture": bumps, "bsdf": DIFFUSE}}, WHOLE),
+        "two_plastics": ({"type": "twosided", "a": DIFFUSE, "b": plastic}, SPLIT),
         "metal": (GOLD, NOT_DIFFUSE),
         "glass": ({"type": "dielectric"}, NOT_DIFFUSE),
     }  # fmt: skip
@@ -48,7 +50,7 @@ def materials(mi):
 
 NAMES = [
     "diffuse", "twosided", "texture", "plastic", "roughplastic", "blend", "mask", "principled", "thin", "normalmap",
-    "bumpmap", "metal", "glass",
+    "bumpmap", "two_bumps", "two_plastics", "metal", "glass",
 ]  # fmt: skip
 
 

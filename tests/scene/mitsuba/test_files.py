@@ -57,6 +57,8 @@ def damaged(tmp_path):
     (tmp_path / "cut.png").write_bytes(picture.read_bytes()[:1000])
     (tmp_path / "text.png").write_text("not a picture" * 9)
     (tmp_path / "text.obj").write_text("v 1 2\nf 1 2 3\n")
+    (tmp_path / "empty.obj").touch()
+    (tmp_path / "points.obj").write_text("v 1 2 3\n")
     return tmp_path
 
 
@@ -66,6 +68,8 @@ WRONG = {
     "cut texture": (textured("cut.png"), r"line 5: texture 'bitmap': .*cut\.png: is damaged"),
     "text as texture": (textured("text.png"), r"line 5: texture 'bitmap': text\.png: no picture"),
     "no mesh": (mesh("ply", "gone.ply"), r"line 3: shape 'ply': gone\.ply: no such file"),
+    "empty mesh": (mesh("obj", "empty.obj"), r"line 3: shape 'obj': .*empty\.obj: the file is empty"),
+    "no faces": (mesh("obj", "points.obj"), r"line 3: shape 'obj': points\.obj: it has no faces"),
     "cut mesh": (mesh("ply", "cut.ply"), r"line 3: shape 'ply': .*cut\.ply: is damaged"),
     "text as mesh": (mesh("obj", "text.obj"), r"line 3: shape 'obj': .*text\.obj.*could not parse line \"v 1 2\""),
     "no map": ('<emitter type="envmap"><string name="filename" value="gone.exr"/></emitter>', r"gone\.exr: no such"),

@@ -254,6 +254,7 @@ def test_objects_of_several_variants(mi):
     ("description", "message"),
     [
         ({"type": "diffuse"}, r"^scene: is a BSDF of Mitsuba, and light needs surfaces; give a scene or a shape"),
+        ({"type": "constant"}, r"^scene: is an Emitter of Mitsuba"),
         ({}, r"^scene: nothing in the scene can be lit \(it has no shapes\)"),
         ({"type": "scene", "a": {"kind": "sphere"}}, r"\('a': missing 'type' attribute\)"),
         ({"type": "scene", "a": {"type": "teapot"}}, r"\('a': 'teapot': Mitsuba has no such plugin"),

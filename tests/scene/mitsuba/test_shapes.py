@@ -81,6 +81,22 @@ def test_shapes_become_meshes(kind, exact, flipped, placed, tmp_path):
         assert (facing[inner] > 0.99).all() or kind == "cylinder"
 
 
+@pytest.mark.parametrize("linear", ["0.5 0 0 0 0 0.3 0 0.6 0 0 0.4 0", "0.3 0.2 0 0 0 0.5 0.1 0 0 0 -0.4 0"])
+def test_spheres_stay_round_under_any_transform(linear, tmp_path):
+    placed = f'<transform name="to_world"><matrix value="{linear} 0 0 0 1"/></transform>'
+    path = write(tmp_path, f'<shape type="sphere">{placed}<bsdf type="diffuse"/></shape>')
+    with open_scene(path) as scene:
+        mi, mesh = scene.mi, scene.mesh
+        # Rays to Mitsuba's own sphere meet it where the vertices are.
+        original = mi.load_dict({"type": "scene", "shape": mi.load_file(str(path), optimize=False).shapes()[0]})
+        start = mesh.positions + 0.05 * mesh.normals
+        si = original.ray_intersect(
+            mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), mi.Vector3f(-mesh.normals.T.astype(np.float32)))
+        )
+        np.testing.assert_allclose(np.array(si.t), 0.05, atol=1e-6)
+        np.testing.assert_allclose(np.abs(np.einsum("ji,ij->i", np.array(si.n), mesh.normals)), 1.0, atol=1e-6)
+
+
 def test_a_cube_keeps_its_edges(tmp_path):
     with open_scene(write(tmp_path, '<shape type="cube"><bsdf type="diffuse"/></shape>')) as scene:
         normals = scene.mesh.normals
