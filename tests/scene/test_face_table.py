@@ -48,7 +48,7 @@ def rays(tmp_path, rng):
 
 
 def test_normals_of_faces_are_those_that_mitsuba_has(rays):
-    scene, ray, met, right = rays
+    scene, _, met, right = rays
     face = scene.hit_faces(met)
     held = np.array(face) >= 0
     assert 0.3 < held.mean() < 0.95
@@ -88,6 +88,7 @@ def test_interactions_with_some_shapes(rays):
     assert not np.array(interactions(mi, [], ray, met, mi.RayFlags.All).is_valid()).any()
 
 
+@pytest.mark.slow
 def test_transport_asks_no_shape_by_a_virtual_call(tmp_path, monkeypatch):
     """Each would be traced for every instance, with all shapes again: a minute for a thousand."""
     path = write(tmp_path, BODY + INSTANCES.format("dielectric"))

@@ -116,7 +116,7 @@ def _points_behind(shape: ReceivingShape, count: int, rng: np.random.Generator) 
 def _faces_of(mi: Any, shapes: Sequence[ReceivingShape]) -> FaceTable:
     counts = [len(shape.triangles.faces) for shape in shapes]
     corners = [shape.mesh.positions[shape.triangles.faces] for shape in shapes]
-    first = np.cumsum([0, *counts])[:-1]
+    first = np.cumsum([0, *counts])[:-1].tolist()
     return FaceTable(mi, [shape.shape for shape in shapes], first, np.concatenate([np.zeros((0, 3, 3)), *corners]))
 
 
