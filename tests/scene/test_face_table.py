@@ -88,6 +88,7 @@ def test_interactions_with_some_shapes(rays):
     assert not np.array(interactions(mi, [], ray, met, mi.RayFlags.All).is_valid()).any()
 
 
+@pytest.mark.slow
 def test_transport_asks_no_shape_by_a_virtual_call(tmp_path, monkeypatch):
     """Each would be traced for every instance, with all shapes again: a minute for a thousand."""
     path = write(tmp_path, BODY + INSTANCES.format("dielectric"))

@@ -17,10 +17,13 @@ _FACE_SIZE = 1.0 / 96.0
 _FEWEST_CUTS, _MOST_CUTS = 48, 128
 _MANY_SHAPES = 20
 
+# Cuts that round shapes have at least, and flat ones.
+_ROUND, _FLAT = 12, 6
+
 
 def fewest_cuts(shapes: int) -> int:
     """Cuts along a shape that is not a mesh, at least: fewer where a scene has very many."""
-    return max(12, min(_FEWEST_CUTS, round(_FEWEST_CUTS * math.sqrt(_MANY_SHAPES / max(shapes, 1)))))
+    return max(_FLAT, min(_FEWEST_CUTS, round(_FEWEST_CUTS * math.sqrt(_MANY_SHAPES / max(shapes, 1)))))
 
 
 def _on_sphere(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
@@ -68,7 +71,8 @@ def parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, few
     coarse = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), indexing="ij"), axis=-1)
     grid = evaluate(coarse.reshape(-1, 2))[0].reshape(9, 9, 3)
     along = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).sum(axis=axis).max() for axis in (0, 1)]
-    cuts = [_cuts(float(length), diagonal, fewest) for length in along]
+    least = fewest if kind == "Rectangle" else max(fewest, _ROUND)
+    cuts = [_cuts(float(length), diagonal, least) for length in along]
     u, v = np.meshgrid(*(np.linspace(0.0, 1.0, n + 1) for n in cuts), indexing="ij")
     uv = np.column_stack([u.ravel(), v.ravel()])
     positions, normals = evaluate(uv)
