@@ -24,7 +24,7 @@ from slepian_prt.transport.transfer import Transfer
 _SEED = 17
 
 # Of a relit picture where the scene has no camera, in pixels.
-_WIDTH = 800
+DEFAULT_WIDTH = 800
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,9 @@ def relit_camera(
     # Both sides are at the same places: rays would meet either.
     fronts = replace(packed.mesh, faces=packed.mesh.faces[~is_back(packed.parts, packed.mesh.faces)])
     with open_scene(fronts) as scene:
-        aimed = aim_camera(replace(scene, view=packed.view), aim, width or _WIDTH, toward_view=packed.toward_view)
+        aimed = aim_camera(
+            replace(scene, view=packed.view), aim, width or DEFAULT_WIDTH, toward_view=packed.toward_view
+        )
         return trace_camera(aimed, width, backs=backs, detail=detail)
 
 

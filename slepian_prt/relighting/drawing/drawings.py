@@ -78,9 +78,6 @@ class Taking:
 
 _MOST_SAMPLES = 65536
 
-# Of a picture where the scene has no camera, in pixels.
-_WIDTH = 800
-
 
 def open_drawing(
     mi: Any,
@@ -172,7 +169,7 @@ def _scene_drawing(
 ) -> SceneDrawing:
     assert source.origin is not None
     scale_lamps(mi, source.scene, lit.fixed_lights)
-    camera = scene_camera(mi, packed, source.scene, source.origin, taking.width or _WIDTH, taking.aim)
+    camera = scene_camera(mi, packed, source.scene, source.origin, taking.width, taking.aim)
     camera = replace(camera, samples=taking.spp)
     environments: list[Environment | None] = list(lit.environments()) or [None] * len(lit.lighting)
     if lit.own_turns is not None:

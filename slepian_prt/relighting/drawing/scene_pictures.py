@@ -23,7 +23,7 @@ from slepian_prt.lighting.emitters import emitted_environment, environment_emitt
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import OTHERS
 from slepian_prt.lighting.lamps import lamps_of
-from slepian_prt.relighting.drawing.camera import aim_camera, middle_directions
+from slepian_prt.relighting.drawing.camera import DEFAULT_WIDTH, aim_camera, middle_directions
 from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from slepian_prt.scene.loading import open_scene
@@ -105,11 +105,13 @@ class SceneCamera:
 
 
 def scene_camera(
-    mi: Any, packed: CompressedTransfer, loaded: Any, origin: NDArray[np.float64], width: int, aim: Aim | None
+    mi: Any, packed: CompressedTransfer, loaded: Any, origin: NDArray[np.float64], width: int | None, aim: Aim | None
 ) -> SceneCamera:
     """The camera that `relit_camera` gives, in a Mitsuba scene whose origin is that point of the world."""
     with open_scene(packed.mesh) as scene:
-        aimed = aim_camera(replace(scene, view=packed.view), aim, width, toward_view=packed.toward_view)
+        aimed = aim_camera(
+            replace(scene, view=packed.view), aim, width or DEFAULT_WIDTH, toward_view=packed.toward_view
+        )
     in_scene = replace(aimed, mi=mi, origin=origin, scale=1.0)
     return SceneCamera(mi, packed, loaded, sensor(in_scene, width))
 
