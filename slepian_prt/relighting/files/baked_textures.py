@@ -41,6 +41,11 @@ class BakedTexture(NamedTuple):
         """(…, 2) where the image has what the shape has at ``uv``."""
         return _affine(self.to_uv, uv)
 
+    def is_same(self, other: BakedTexture) -> bool:
+        """Whether another one shows the same."""
+        a, b = self.texture, other.texture
+        return a.source == b.source and a.wrap == b.wrap and bool(np.all(self.to_uv == other.to_uv))
+
 
 def bake_texture(mi: Any, bsdf: Any, name: str, *, side: int = 1) -> BakedTexture | None:
     """What a BSDF reflects diffusely, where bitmaps or checkerboards that lie on each other say it.

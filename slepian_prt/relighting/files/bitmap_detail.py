@@ -40,8 +40,12 @@ class _Baker:
     def bake(self, bsdf: Any, name: str, side: int) -> BakedTexture | None:
         """As `bake_texture`."""
         key = id(bsdf), side
-        if key not in self._made:  # with the BSDF, so that no other one gets its address
-            self._made[key] = bsdf, bake_texture(self._mi, bsdf, name, side=side)
+        if key not in self._made:
+            made = bake_texture(self._mi, bsdf, name, side=side)
+            front = self.bake(bsdf, name, 1) if side < 0 and made is not None else None
+            if front is not None and made is not None and front.is_same(made):
+                made = front
+            self._made[key] = bsdf, made  # with the BSDF, so that no other one gets its address
         return self._made[key][1]
 
 

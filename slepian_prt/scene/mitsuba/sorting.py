@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -60,13 +61,27 @@ class SortedShapes(NamedTuple):
     of_outcome: list[int]
     coarseness: float
 
-    def outcomes_with(self, sides: Sequence[int], two_sided: NDArray[np.bool_]) -> list[ShapeOutcome]:
-        """The outcomes, after it is known which receiving shapes are lit on both sides."""
-        result = list(self.outcomes)
-        for number, count, both in zip(self.of_outcome, sides, two_sided, strict=True):
-            reason = "it is closed: nobody sees its back" if both and count == 1 else ""
-            if count >= result[number].sides:  # instances of one shape may differ
-                result[number] = result[number]._replace(sides=count, reason=reason)
+    def outcomes_with(self, lost_behind: Sequence[float | None], two_sided: NDArray[np.bool_]) -> list[ShapeOutcome]:
+        """The outcomes, after it is known which receiving shapes are lit on both sides.
+
+        Parameters
+        ----------
+        lost_behind : sequence of float or None
+            What the vertices of each receiving shape lose of textures on its back; None where that is not lit.
+        two_sided : bool array
+            Whether its material reflects there.
+        """
+        result, told = list(self.outcomes), [False] * len(self.outcomes)
+        for number, lost, both in zip(self.of_outcome, lost_behind, two_sided, strict=True):
+            if told[number]:  # instances of one shape may differ: one that is lit on both sides counts
+                continue
+            outcome, told[number] = self.outcomes[number], lost is not None
+            if lost is not None:
+                over_both = math.hypot(outcome.texture_lost, lost) / math.sqrt(2.0)
+                result[number] = outcome._replace(sides=2, texture_lost=over_both)
+            else:
+                reason = "it is closed: nobody sees its back" if both else ""
+                result[number] = outcome._replace(sides=1, reason=reason)
         return result
 
 

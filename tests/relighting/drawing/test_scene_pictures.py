@@ -112,6 +112,17 @@ def test_coverage_is_that_of_the_shapes(ball, white, tmp_path):
     assert_exact(pixels[0, 0], np.zeros(4, np.float32), "none does")
 
 
+def test_pictures_are_as_large_as_the_film_of_the_scenes_camera(white, tmp_path):
+    camera = (
+        '<sensor type="perspective"><transform name="to_world"><lookat origin="0, 0, -4" target="0, 0, 1" '
+        'up="0, 1, 0"/></transform><film type="hdrfilm"><integer name="width" value="24"/><integer name="height" '
+        'value="16"/></film></sensor>'
+    )
+    packed = packed_scene(write_scene(tmp_path / "room.xml", BALL, MIRROR, camera))
+    assert render_picture(packed, white, scene_linear=True, spp=1).shape == (16, 24, 4)
+    assert render_picture(packed, white, width=48, scene_linear=True, spp=1).shape == (32, 48, 4)
+
+
 def texture_file(folder) -> np.ndarray:
     codes = np.random.default_rng(5).integers(20, 235, (4, 4, 3)).astype(np.uint8)
     Image.fromarray(codes).save(folder / "t.png")

@@ -132,8 +132,9 @@ def test_checkerboards_are_images_too(tmp_path, rng):
     assert np.mean(np.abs(found.ours - found.theirs).max(axis=1) > STEP) < 0.05
 
 
-def test_one_material_has_one_image(tmp_path):
-    both = PAINT.replace('"diffuse"', '"diffuse" id="m"') + "".join(
+@pytest.mark.parametrize("sides", [1, 2])
+def test_one_material_has_one_image(tmp_path, sides):
+    both = bitmap("repeat", sides=sides == 2).replace('">', '" id="m">', 1) + "".join(
         f'<shape type="rectangle" id="r{x}"><transform name="to_world"><translate x="{x}"/></transform><ref id="m"/>'
         "</shape>"
         for x in (0, 3)
@@ -142,6 +143,7 @@ def test_one_material_has_one_image(tmp_path):
     with open_scene(path) as scene:
         loaded = scene.mi.load_file(path, optimize=False)
         detail = bitmap_detail(scene.mi, loaded, scene.origin, scene.mesh, scene.parts)
+        assert [part.sides for part in scene.parts] == [sides, sides]
     assert len(detail.textures) == 1
     assert np.all(detail.choice == 0)
 
