@@ -77,7 +77,7 @@ def bitmap_detail(
     sources, baker = _sources(mi, loaded), _Baker(mi)
     choice = np.full(len(mesh.faces), -1, dtype=np.int32)
     uv = np.zeros((len(mesh.faces), 3, 2), dtype=np.float32)
-    textures: list[Texture] = []
+    textures: dict[tuple[object, ...], Texture] = {}  # by their content: materials of their own may read one file
     left: list[str] = []
     for part in parts:
         source = sources.get(part.name)
@@ -93,9 +93,9 @@ def bitmap_detail(
             faces = np.flatnonzero((mesh.faces[:, 0] >= first) & (mesh.faces[:, 0] < first + part.count))
             placed, found = _coordinates(mi, source, mesh, part, faces, origin)
             uv[faces] = baked.coordinates(placed)
-            if baked.texture not in textures:
-                textures.append(baked.texture)
-            choice[faces[found]] = textures.index(baked.texture)
+            content = (baked.texture.source, baked.texture.wrap)
+            textures.setdefault(content, baked.texture)
+            choice[faces[found]] = list(textures).index(content)
     if left:
         names = ", ".join(f"'{name}'" for name in left[:3]) + (", …" if len(left) > 3 else "")
         report(f"textures of {names} are no single image; they are written as colours of vertices")
@@ -104,7 +104,7 @@ def bitmap_detail(
     none = np.full(len(mesh.faces), -1, dtype=np.int32)
     white = np.ones((len(mesh.faces), 3, 3), dtype=np.float32)
     return SurfaceDetail(
-        tuple(textures), choice, uv, white, np.zeros(len(choice), dtype=np.float32), none, np.zeros_like(uv)
+        tuple(textures.values()), choice, uv, white, np.zeros(len(choice), dtype=np.float32), none, np.zeros_like(uv)
     )
 
 
