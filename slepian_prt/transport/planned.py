@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.direct import DirectTransfer
@@ -143,8 +144,12 @@ def _closed_by_themselves(scene: Scene, seed: int) -> list[str]:
     active = np.flatnonzero(scene.receivers.active)
     chosen = np.random.default_rng(seed).choice(active, min(_CLOSED_VERTICES, active.size), replace=False)
     gather = gather_operator(scene, _CLOSED_NODES, chosen, None, seed)
+    shapes = enumerate(scene.loaded.shapes())
+    shining = {shape_name(shape, index) for index, shape in shapes if shape.is_emitter()}  # lamps may face inward
     names = []
     for part in scene.parts:
+        if part.name in shining:
+            continue
         own = (gather.rows >= part.first) & (gather.rows < part.end)
         if own.any() and gather.weights[own, part.first : part.end].sum() > _NEARLY_ALL * own.sum():
             names.append(part.name)

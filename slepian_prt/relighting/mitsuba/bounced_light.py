@@ -48,6 +48,7 @@ class BouncedLight:
         self._mi, self._factor = mi, factor
         if named is None:
             lamps = [emitter for emitter in scene.emitters() if not emitter.is_environment()]
+            lamps = [emitter for emitter in lamps if lamp_kind(emitter) not in UNSEEN]
             names = [_names(lamp)[0] for lamp in lamps]
         else:
             names, lamps = list(named), list(named.values())

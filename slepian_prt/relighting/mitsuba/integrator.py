@@ -19,6 +19,7 @@ from slepian_prt.relighting.mitsuba.lamps import Lamps
 from slepian_prt.relighting.mitsuba.lobes import LAMBERTIAN, PLAIN, Lobes, material_kind
 from slepian_prt.relighting.mitsuba.recording import without_collection
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.renderer.variants import imported_mitsuba
 
 NAME = "slepian_prt"
@@ -274,7 +275,8 @@ class SlepianIntegrator:
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
         texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]
-        media = [f"'{shape.id()}'" for shape in scene.shapes() if shape.is_medium_transition()]
+        shapes = enumerate(scene.shapes())
+        media = [f"'{shape_name(shape, index)}'" for index, shape in shapes if shape.is_medium_transition()]
         if media:
             texts.append(f"participating media are not drawn: those of shapes {', '.join(media)}")
         for text in texts:
