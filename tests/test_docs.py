@@ -184,7 +184,7 @@ def test_every_basis_is_explained():
 
 def test_examples_are_shipped():
     assert sp.example() == sp.example("knot")
-    for name in ("knot", "sky", "cornell", "glossy"):
+    for name in ("knot", "sky", "cornell", "glossy", "room"):
         assert sp.example(name).samefile(ROOT / "scenes" / sp.example(name).name)
     with pytest.raises(sp.UserError, match="no example is named 'skull'; choose one of knot, sky, cornell, glossy"):
         sp.example("skull")

@@ -17,7 +17,7 @@ from slepian_prt.cli.options import (
     rotate_option,
     width_option,
 )
-from slepian_prt.cli.values import LampScale, Names, read_transfer, settings_of
+from slepian_prt.cli.values import LampScale, Names, as_scales, read_transfer, settings_of
 
 
 @click.command()
@@ -37,6 +37,7 @@ from slepian_prt.cli.values import LampScale, Names, read_transfer, settings_of
     "--fixed-lights",
     multiple=True,
     type=LampScale(),
+    callback=as_scales,
     metavar="[NAME=]SCALE",
     help="What the light of the scene's lamps, or of that lamp, is multiplied by; may be given several times.  "
     "[default: 1]",
@@ -68,7 +69,7 @@ def relight(
     window: str | None,
     window_width: float | None,
     clamp_negative: bool,
-    fixed_lights: tuple[tuple[str, float], ...],
+    fixed_lights: dict[str, float] | float,
     turn_directional: bool,
     width: int | None,
     scene: str | None,
@@ -92,7 +93,7 @@ def relight(
     drawn = wish.draws(output)
     lights = Lights(
         environment, rotate, turntable, window, window_width, clamp_negative, aim.axis,
-        shown=drawn and finish.background == MAP, fixed_lights=dict(fixed_lights) or 1.0,
+        shown=drawn and finish.background == MAP, fixed_lights=fixed_lights,
         turn_directional=turn_directional,
     )  # fmt: skip
     check_output(output, [file, *environment, *([scene] if scene else [])], lights.names, wish, several=lights.several)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -123,10 +123,22 @@ def as_dict(
     _context: click.Context, _option: click.Parameter, pairs: Sequence[tuple[str, str]]
 ) -> dict[str, str] | None:
     """Pairs as a dict, None if there are none; raise UserError for a name that is given twice."""
-    for number, (name, _) in enumerate(pairs):
-        if name in dict(pairs[:number]):
-            raise UserError(f"-D {name} is given twice; give it once")
+    if (name := _repeated(pairs)) is not None:
+        raise UserError(f"-D {name} is given twice; give it once")
     return dict(pairs) or None
+
+
+def as_scales(
+    _context: click.Context, _option: click.Parameter, pairs: Sequence[tuple[str, float]]
+) -> dict[str, float] | float:
+    """What lamps are multiplied by, 1 if nothing is given; raise UserError for a lamp that is given twice."""
+    if (name := _repeated(pairs)) is not None:
+        raise UserError(f"`fixed_lights` is given twice for {'all lamps' if name == '*' else name}; give it once")
+    return dict(pairs) or 1.0
+
+
+def _repeated(pairs: Sequence[tuple[str, Any]]) -> str | None:
+    return next((name for number, (name, _) in enumerate(pairs) if name in dict(pairs[:number])), None)
 
 
 def settings_of(kind: Callable[..., Settings], options: dict[str, Any], **more: Any) -> Settings:
@@ -145,7 +157,7 @@ def read_maps(
     check_names(paths)
     lights = [_read_map(path, clamp_negative).rotated(rotate) for path in paths]
     stand = up_rotation(up or "y")
-    return [replace(light, to_world=stand @ light.to_world) for light in lights]
+    return [light.turned(stand) for light in lights]
 
 
 def read_transfer(file: str) -> CompressedTransfer:

@@ -45,8 +45,9 @@ def shape_arrays(mi: Any, shape: Any) -> list[NDArray]:
     """
     box = shape.bbox()
     arrays = [np.array(box.min), np.array(box.max), np.array([shape.primitive_count()])]
-    for name, value in mi.traverse(shape):
+    parameters = mi.traverse(shape)
+    for name in parameters.keys():  # noqa: SIM118 (going through pairs, Mitsuba fails at what a hair BSDF leaves unset)
         if "." not in name:  # not of its material or light
             # An array of a Mitsuba transform would hold its address.
-            arrays.append(np.array(getattr(value, "matrix", value)))
+            arrays.append(np.array(getattr(parameters[name], "matrix", parameters[name])))
     return arrays

@@ -97,7 +97,7 @@ def compare(
     finish = finish or Finish("white")
     terms = _possible_terms(terms, int(transport.bandlimit))
     started = time.perf_counter()
-    with plan_scene(scene, transport, on_plan) as planned:
+    with plan_scene(scene, transport, on_plan, lamps=False) as planned:
         environments = lights_of(planned.scene, environments)
         toward_view = planned.plan.view is not None
         seen = aim_camera(planned.scene, aim, width or DEFAULT_WIDTH, toward_view=toward_view)
@@ -105,7 +105,7 @@ def compare(
         report(str(forecast(planned, seen, environments, methods, terms, grouping, noise, width)))
         planned.clock.stop("forecast")
         report("transport")
-        transfer = compute_transfer(planned, advance, lamps=False)
+        transfer = compute_transfer(planned, advance)
         report("camera")
         camera = trace_camera(seen, width)
         pictures = _Pictures(seen, camera, width, noise, finish)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from slepian_prt.lighting.emitters import environment_emitter
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.relighting.drawing.pictures import Picture, split_alpha
+from slepian_prt.scene.mitsuba.shapes import without_emission
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import View
@@ -60,13 +61,14 @@ def render_reference(
     mi = scene.mi
     started = time.perf_counter()
     integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
+    dark = _without_lamps(scene)
     emitter = environment_emitter(mi, environment)
     if isinstance(emitter, dict):
         emitter = mi.load_dict(emitter)
 
     def half(samples: int, seed: int) -> NDArray[np.float64]:
         # Stratified samplers halve the noise of independent ones at the same cost, if they know the count.
-        lit = mitsuba_scene(scene, sensor=sensor(scene, width, samples), emitter=emitter)
+        lit = mitsuba_scene(dark, sensor=sensor(scene, width, samples), emitter=emitter)
         return np.array(mi.render(lit, integrator=integrator, spp=samples, seed=seed), dtype=np.float64)
 
     halves, reached, samples = _converge(half, noise, largest_samples, channels=3)
@@ -96,7 +98,7 @@ def vertex_reference(
     mi = scene.mi
     started = time.perf_counter()
     chosen = np.arange(len(scene.mesh.positions)) if vertices is None else vertices
-    lit = mitsuba_scene(scene, emitter=environment_emitter(mi, environment))
+    lit = mitsuba_scene(_without_lamps(scene), emitter=environment_emitter(mi, environment))
 
     def half(samples: int, number: int) -> NDArray[np.float64]:
         half_seed = 65537 * seed + number
@@ -114,6 +116,16 @@ def vertex_reference(
         find_interior(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
     radiance = (mean * albedo).astype(np.float32)
     return ReferenceVertices(radiance, reached, samples, time.perf_counter() - started)
+
+
+def _without_lamps(scene: Scene) -> Scene:
+    """The scene with surfaces that do not shine: what is measured is distant light."""
+    if not any(shape.is_emitter() for shape in scene.shapes):
+        return scene
+    low, high = scene.traced_bounds
+    diagonal = float(np.linalg.norm(high - low))
+    shapes = [without_emission(scene.mi, shape, diagonal) if shape.is_emitter() else shape for shape in scene.shapes]
+    return replace(scene, shapes=tuple(shapes))
 
 
 def _converge(

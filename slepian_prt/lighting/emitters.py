@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.environment import Environment, about_up
+from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.map_rows import Checked, Rows
 from slepian_prt.lighting.sky import MAP_TO_SKY, SkyQuadrature, is_sky, sky_quadrature
 from slepian_prt.lighting.sky_map import sky_texels
@@ -42,9 +42,10 @@ class SkyEnvironment(Environment):
     samples: NDArray[np.float64]
     emitter: Any
 
-    def rotated(self, degrees: float) -> Environment:
-        """Turned counter-clockwise about the world's up axis y."""
-        return replace(self, to_world=about_up(degrees) @ self.to_world, emitter=None)
+    def turned(self, rotation: NDArray[np.float64]) -> Environment:
+        """Turned by a rotation (3, 3) of the world; what was not turned keeps its emitter."""
+        to_world = rotation @ self.to_world
+        return replace(self, to_world=to_world, emitter=self.emitter if np.all(rotation == np.eye(3)) else None)
 
     def project(self, bandlimit: int, turn: NDArray[np.float64]) -> NDArray[np.float64]:
         """(3, (L+1)²) coefficients of the light, turned."""

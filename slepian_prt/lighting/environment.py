@@ -38,7 +38,11 @@ class Environment(Summarised):
 
     def rotated(self, degrees: float) -> Environment:
         """Turned counter-clockwise about the world's up axis y."""
-        return replace(self, to_world=about_up(degrees) @ self.to_world)
+        return self.turned(about_up(degrees))
+
+    def turned(self, rotation: NDArray[np.float64]) -> Environment:
+        """Turned by a rotation (3, 3) of the world."""
+        return replace(self, to_world=rotation @ self.to_world)
 
     def _summary(self) -> dict[str, object]:
         angle = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(self.to_world)) - 1.0) / 2.0))))

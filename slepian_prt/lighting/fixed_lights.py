@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -14,6 +15,20 @@ from slepian_prt.sphere.harmonics import real_sh
 
 # In a mapping of scales, what lamps get that are not named.
 OTHERS = "*"
+
+# What many lamps are called that are one.
+_JOINED = "other lights"
+
+
+def joined_name(count: int) -> str:
+    """What a file calls so many lamps that it holds as one."""
+    return f"{count} {_JOINED}"
+
+
+def joined_count(name: str) -> int:
+    """How many lamps a file holds under this name as one; 0 of a lamp that it holds by its own."""
+    found = re.fullmatch(rf"(\d+) {_JOINED}", name)
+    return int(found[1]) if found else 0
 
 
 @dataclass(frozen=True, eq=False)

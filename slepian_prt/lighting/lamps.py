@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import check_radiance
+from slepian_prt.lighting.fixed_lights import OTHERS, joined_count
 from slepian_prt.lighting.formats.png_encoding import decode_srgb
+from slepian_prt.renderer.shape_names import shape_name
 
 _KINDS = {
     "AreaLight": "area",
@@ -21,6 +23,9 @@ _KINDS = {
     "Projector": "projector",
     "SpotLight": "spot",
 }
+
+# Plugins whose light no sample finds.
+UNSEEN = ("directionalarea",)
 
 # What plugins call their brightness.
 _BRIGHTNESS = ("radiance", "intensity", "irradiance")
@@ -69,22 +74,65 @@ def lamps_of(mi: Any, loaded: Any, origin: str) -> list[Lamp]:
         A lamp whose light is negative, not finite or too bright, or that Mitsuba cannot sample.
     """
     emitters = loaded.emitters()
-    emitting = {
-        _number(mi, shape.emitter()): shape.id() or f"shape_{index}"
-        for index, shape in enumerate(loaded.shapes())
-        if shape.is_emitter()
-    }
     found: list[Lamp] = []
-    for index, emitter in enumerate(emitters):
-        if emitter.is_environment():
-            continue
-        kind = lamp_kind(emitter)
-        name = _unused(emitting.get(_number(mi, emitter)) or emitter.id() or kind, [lamp.name for lamp in found])
+    for name, index in lamp_places(mi, loaded).items():
+        emitter, kind = emitters[index], lamp_kind(emitters[index])
         emitted = check_radiance(_sampled(mi, emitter, f"{origin}: lamp '{name}'"), f"{origin}: lamp '{name}'")
         if emitted.min() < 0.0:
             raise UserError(f"{origin}: lamp '{name}': its light is negative ({emitted.min():.3g}); repair the light")
         found.append(Lamp(index, name, kind, emitted, _direction(emitter, kind)))
     return found
+
+
+def lamp_places(mi: Any, loaded: Any) -> dict[str, int]:
+    """Places of all lamps among the emitters of a Mitsuba scene, by the names that files know them by."""
+    emitting = {
+        _number(mi, shape.emitter()): shape_name(shape, index)
+        for index, shape in enumerate(loaded.shapes())
+        if shape.is_emitter()
+    }
+    places: dict[str, int] = {}
+    for place, emitter in enumerate(loaded.emitters()):
+        if not emitter.is_environment():
+            name = emitting.get(_number(mi, emitter)) or emitter.id() or lamp_kind(emitter)
+            places[_unused(name, list(places))] = place
+    return places
+
+
+def scale_lamps(mi: Any, loaded: Any, scales: float | Mapping[str, float]) -> None:
+    """Make the lamps of a Mitsuba scene so many times as bright, by the names that files know them by.
+
+    Raises
+    ------
+    UserError
+        One of another brightness is wanted whose radiance is an image of bytes.
+    """
+    emitters = loaded.emitters()
+    for name, place in lamp_places(mi, loaded).items():
+        scale = _scale_of(name, scales)
+        if scale == 1.0:
+            continue
+        parameters = mi.traverse(emitters[place])
+        own = ["scale"] if "scale" in parameters else _brightness(parameters)
+        if not own or any("u8" in type(parameters[one]).__name__.lower() for one in own):
+            raise UserError(f"the brightness of lamp '{name}' cannot be changed in pictures; leave out `fixed_lights`")
+        for one in own:
+            parameters[one] = parameters[one] * scale
+        parameters.update()
+
+
+def _scale_of(name: str, scales: float | Mapping[str, float]) -> float:
+    """Of one lamp; those that a file holds as one have that one's."""
+    if not isinstance(scales, Mapping):
+        return float(scales)
+    joined = next((scale for known, scale in scales.items() if joined_count(known)), 1.0)
+    return scales.get(name, scales.get(OTHERS, joined))
+
+
+def _brightness(parameters: Any) -> list[str]:
+    """The parameters of an emitter that are its brightness: a colour, or texels."""
+    names = parameters.keys()
+    return [one for one in names if one.split(".")[0] in _BRIGHTNESS and one.rsplit(".")[-1] in ("value", "data")]
 
 
 def _sampled(mi: Any, emitter: Any, named: str) -> NDArray[np.float64]:
@@ -112,7 +160,7 @@ def emitted_light(mi: Any, emitter: Any) -> NDArray[np.float64]:
     constant = len(names) == 1 and names[0].count(".") == 1 and names[0].endswith(".value")
     if not constant and lamp_kind(emitter) == "area":
         return _mean_radiance(mi, emitter)
-    values = [_mean_colour(np.array(parameters[name])) for name in names if name.rsplit(".")[-1] in ("value", "data")]
+    values = [_mean_colour(np.array(parameters[name])) for name in _brightness(parameters)]
     if not values:
         return np.full(3, math.nan)
     scale = float(np.ravel(np.array(parameters["scale"]))[0]) if "scale" in parameters else 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,21 @@ def relight(
     if not np.all(albedo == 1.0):
         radiance *= albedo
     return radiance if lights.ndim == 3 else radiance[0]
+
+
+def white_radiance(
+    transfer: Transfer | CompressedTransfer,
+    lighting: NDArray[np.float64],
+    fixed_lights: float | Mapping[str, float] = 1.0,
+) -> NDArray[np.float32]:
+    """(B, V, 3) radiance that receivers of unit albedo would send back, under lights (B, 3, (L+1)²) and the lamps."""
+    if not isinstance(transfer, CompressedTransfer):
+        white = replace(transfer.mesh, albedo=np.ones_like(transfer.mesh.albedo))
+        return relight(replace(transfer, mesh=white), lighting, fixed_lights=fixed_lights)
+    radiance = transfer_operator(transfer).apply(lighting)
+    if transfer.fixed is not None:
+        radiance += transfer.fixed.radiance(lamp_scales(transfer.fixed, fixed_lights))
+    return radiance
 
 
 def stand_lighting(

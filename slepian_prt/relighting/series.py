@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -210,13 +210,10 @@ def _remarks_on_lamps(packed: CompressedTransfer, lights: Lights, file: str) -> 
 
 def read_environments(lights: Lights) -> tuple[Environment, ...]:
     """The maps as they stand, one for each result."""
-    stood = [
-        replace(light, to_world=lights.stand @ light.to_world)
-        for light in (read_environment(path, clamp_negative=lights.clamp_negative) for path in lights.maps)
-    ]
+    stood = [read_environment(path, clamp_negative=lights.clamp_negative).turned(lights.stand) for path in lights.maps]
     if lights.turntable is None:
         return tuple(stood)
-    return tuple(replace(stood[0], to_world=turn @ stood[0].to_world) for turn in lights.turns)
+    return tuple(stood[0].turned(turn) for turn in lights.turns)
 
 
 def _project_lights(

@@ -8,6 +8,9 @@ from typing import NamedTuple
 # scene itself: the integrator follows rays there.
 NOT_SIMULATED, GATHERED = "not simulated", "gathered"
 
+# What interpolation between vertices loses of a texture, relative RMS, is told from this on.
+TEXTURE_LOST = 0.05
+
 
 class LeftOut(NamedTuple):
     """An effect that transfer at vertices does not hold.
@@ -24,5 +27,5 @@ class LeftOut(NamedTuple):
 
     name: str
     share: float | None = None
-    reason: str = "only reflection of distant light by diffuse surfaces is simulated"
+    reason: str = "only what diffuse surfaces reflect is simulated"
     verdict: str = NOT_SIMULATED

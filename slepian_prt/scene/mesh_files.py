@@ -20,7 +20,7 @@ from slepian_prt.scene.formats.ply import read_ply
 from slepian_prt.scene.formats.stl import read_stl
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh, MeshDetails, check_faces, check_geometry, complete_mesh
-from slepian_prt.scene.reflectance.albedo import decode_textures, effects_left_out, vertex_albedo
+from slepian_prt.scene.reflectance.albedo import decode_textures, effects_left_out, texture_lost, vertex_albedo
 
 log = logging.getLogger(__name__)
 
@@ -111,7 +111,8 @@ def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
     if known:
         textures = decode_textures(parts)
         values, metallic = zip(*(vertex_albedo(part, textures) for part in parts), strict=True)
-        albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic)
+        lost = [texture_lost(part, textures, value) for part, value in zip(parts, values, strict=True)]
+        albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic, lost)
     if crease_angle < 180.0 and parts and all(part.normals is not None for part in parts):
         log.info("%s: all of it has normals in the file, so that `crease_angle` has no effect", path)
     details = MeshDetails(path.stem, origin, _points(parts), known, left_out, crease_angle)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slepian_prt.scene.scene import Scene
 from slepian_prt.scene.view import Aim, View, aimed_view
@@ -20,25 +21,30 @@ def sensor(scene: Scene, width: int | None = None, samples: int = 16) -> Any:
     shape of the film or of what is framed.
     """
     if scene.view is not None:
-        return _of_view(scene, scene.view, width, samples)
+        return view_sensor(scene.mi, scene.view, width, samples, origin=scene.origin, scale=scene.scale)
     if scene.sensor is not None:
         return scene.sensor
     receivers = scene.receivers
     framing = aimed_view(Aim(), None, receivers.positions[receivers.active], width or DEFAULT_WIDTH)
-    return _of_view(scene, framing, width, samples)
+    return view_sensor(scene.mi, framing, width, samples, origin=scene.origin, scale=scene.scale)
 
 
-def _of_view(scene: Scene, view: View, width: int | None, samples: int) -> Any:
-    """A camera in the space that the scene is traced in, its film scaled to ``width`` pixels."""
+def view_sensor(
+    mi: Any, view: View, width: int | None = None, samples: int = 16, *, origin: ArrayLike = 0.0, scale: float = 1.0
+) -> Any:
+    """A camera of Mitsuba, in a space of which ``origin`` is a point of the world and ``scale`` the unit.
+
+    ``width`` is that of the picture in pixels, by default that of the view.
+    """
     matrix = np.array(view.to_world)
-    matrix[:3, 3] = (matrix[:3, 3] - scene.origin) / scene.scale
+    matrix[:3, 3] = (matrix[:3, 3] - np.asarray(origin)) / scale
     columns = view.width if width is None else width
     return _perspective(
-        scene.mi,
+        mi,
         matrix,
         {"fov": view.fov, "fov_axis": "x"},
         (columns, max(1, round(columns * view.height / view.width))),
-        (view.near / scene.scale, view.far / scene.scale),
+        (view.near / scale, view.far / scale),
         samples,
     )
 

@@ -22,7 +22,7 @@ _NOISY = 0.02
 
 
 def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tuple[FixedLights | None, int]:
-    """Direct light of the lamps of a planned scene, and the rays that it took; None without lamps.
+    """Direct light of the lamps of a planned scene, and the rays that it took; None without lamps, or if unwanted.
 
     Receivers that nothing can shadow are lit without rays, those inside other geometry as their neighbours are.
 
@@ -32,15 +32,15 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
         Light that is negative or not finite somewhere.
     """
     scene, lamps, settings = planned.scene, planned.lamps, planned.settings
-    if not lamps.groups or planned.plan.view is not None:
+    if not lamps.groups or not lamps.wanted or planned.plan.view is not None:
         return None, 0
     count = len(scene.receivers)
     shadowed = np.zeros(count, dtype=bool)
     shadowed[planned.plan.shadowed] = True
-    dark = scene.is_hidden if planned.plan.shadowed.size else np.zeros(count, dtype=bool)
+    hidden = scene.is_hidden if planned.plan.shadowed.size else np.zeros(count, dtype=bool)
     direct = np.zeros((len(lamps.groups), count, 3), dtype=np.float32)
     tracer = LampTracer(scene, lamps.groups, settings.samples, settings.seed)
-    lit = scene.receivers.active & ~dark
+    lit = scene.receivers.active & ~hidden
     squared_noise = np.zeros(len(lamps.groups))
     for chosen, shadows in ((np.flatnonzero(lit & shadowed), True), (np.flatnonzero(lit & ~shadowed), False)):
         if chosen.size:
@@ -48,11 +48,13 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
             direct[:, chosen] = traced.radiance
             squared_noise += traced.squared_noise
     _check(scene.path, lamps.names, direct)
-    noise = np.sqrt(squared_noise / np.maximum(np.sum(direct.astype(np.float64) ** 2, axis=(1, 2)), 1e-300))
+    power = [np.sum(np.square(light, dtype=np.float64)) for light in direct]
+    noise = np.sqrt(squared_noise / np.maximum(power, 1e-300))
     for name, reached, light, relative in zip(lamps.names, lamps.reached, direct, noise, strict=True):
         interior.fill(light)
         _remark(scene.path, name, float(reached), light, float(relative))
-    fixed = FixedLights(lamps.names, lamps.kinds, lamps.emitted, direct, np.zeros_like(direct), lamps.directions)
+    dark = np.zeros(direct.shape, dtype=np.float32)  # takes no memory until it is written to
+    fixed = FixedLights(lamps.names, lamps.kinds, lamps.emitted, direct, dark, lamps.directions)
     return fixed, tracer.rays
 
 
@@ -75,7 +77,7 @@ def bounced_light(
     bounces : int or None
         None until the rest of each lamp's light is less than a thousandth.
     """
-    bounced = np.zeros_like(direct)
+    bounced = np.zeros(direct.shape, dtype=np.float32)
     if bounces is None:
         bounces = max((count_bounces(gather, albedo, light.max(axis=1)) for light in direct), default=0)
     for channel in range(3):

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.face_table import interactions
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.transport.hemisphere import upload_origins
@@ -149,7 +150,7 @@ class LampTracer:
         shining = {i: shape for i, shape in enumerate(scene.loaded.shapes()) if shape.is_emitter()}
         if not shining:
             return scene.geometry
-        names = {shape.id() or f"shape_{i}" for i, shape in shining.items()}
+        names = {shape_name(shape, i) for i, shape in shining.items()}
         receiving = [shape for shape, part in zip(scene.shapes, scene.parts, strict=False) if part.name not in names]
         occluders = [shape for shape in scene.occluders if not shape.is_emitter()]
         return mitsuba_scene(replace(scene, shapes=(*receiving, *occluders, *shining.values())))

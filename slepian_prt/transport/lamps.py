@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.lamps import Lamp, lamps_of
+from slepian_prt.lighting.fixed_lights import joined_name
+from slepian_prt.lighting.lamps import UNSEEN, Lamp, lamps_of
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.scene import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
-from slepian_prt.transport.effects import NOT_SIMULATED, SIMULATED, Effect, Plan
+from slepian_prt.transport.effects import NOT_SIMULATED, OMITTED, SIMULATED, Effect, Plan
 from slepian_prt.transport.lamp_light import Group, samples_of, unshadowed_means
 
 log = logging.getLogger(__name__)
@@ -21,10 +22,10 @@ log = logging.getLogger(__name__)
 # Lamps that are kept apart, at most; and receivers and samples for each that tell how bright they are.
 MOST_LAMPS = 16
 _PILOT, _PILOT_SAMPLES = 256, 8
+# Lamps that are looked at together then.
+_LAMPS_PER_BLOCK = 512
 # Names of lamps in a row of the plan.
 _NAMED = 4
-# Plugins whose light no sample finds.
-_UNSEEN = ("directionalarea",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,8 @@ class Lamps:
         What they would add to the light of the scene's environment, as part of both; None without one.
     left_out : tuple of Effect
         Rows about those that Mitsuba cannot sample.
+    wanted : bool
+        Whether their light is computed at all.
     """
 
     names: tuple[str, ...]
@@ -54,6 +57,7 @@ class Lamps:
     reached: NDArray[np.float64]
     share: float | None
     left_out: tuple[Effect, ...]
+    wanted: bool = True
 
     def add_rows(self, plan: Plan, samples: int) -> Plan:
         """The plan with rows about lamps before what it does not simulate."""
@@ -74,6 +78,8 @@ class Lamps:
         if plan.view is not None:
             reason = "transfer toward a camera holds distant light only"
             return Effect(name, NOT_SIMULATED, self.share, None, 0, reason)
+        if not self.wanted:
+            return Effect(name, OMITTED, self.share, None, rays, "not asked for: what is measured is distant light")
         reason = f"kept apart from distant light; `fixed_lights` scales it when relighting ({kinds})"
         return Effect(name, SIMULATED, self.share, None, rays, reason)
 
@@ -88,8 +94,8 @@ def find_lamps(scene: Scene, seed: int) -> Lamps:
     """
     loaded = scene.loaded
     found = [] if loaded is None else lamps_of(scene.mi, loaded, scene.path)
-    unseen = [lamp for lamp in found if lamp.kind in _UNSEEN]
-    lamps = [lamp for lamp in found if lamp.kind not in _UNSEEN and lamp.emitted.any()]
+    unseen = [lamp for lamp in found if lamp.kind in UNSEEN]
+    lamps = [lamp for lamp in found if lamp.kind not in UNSEEN and lamp.emitted.any()]
     for lamp in found:
         if not lamp.emitted.any():
             log.info("%s: lamp '%s' is set to 0 and left out", scene.path, lamp.name)
@@ -135,7 +141,7 @@ def _joined(
     rest = [lamps[i] for i in others]
     kinds = {lamp.kind for lamp in rest}
     return Lamps(
-        (*(lamps[i].name for i in own), f"{others.size} other lights"),
+        (*(lamps[i].name for i in own), joined_name(others.size)),
         (*(lamps[i].kind for i in own), kinds.pop() if len(kinds) == 1 else "several"),
         np.array([*(lamps[i].emitted for i in own), np.mean([lamp.emitted for lamp in rest], axis=0)]),
         np.array([*(lamps[i].direction for i in own), np.zeros(3)]),
@@ -157,8 +163,10 @@ def _reached(scene: Scene, lamps: list[Lamp], receivers: NDArray[np.int64]) -> N
     """(n,) mean radiance of unit albedo, unshadowed."""
     if not lamps:
         return np.zeros(0)
+    places = np.array([lamp.place for lamp in lamps])
+    blocks = np.array_split(places, -(-places.size // _LAMPS_PER_BLOCK))
     try:
-        return unshadowed_means(scene, np.array([lamp.place for lamp in lamps]), receivers, _PILOT_SAMPLES)
+        return np.concatenate([unshadowed_means(scene, block, receivers, _PILOT_SAMPLES) for block in blocks])
     except RuntimeError as error:  # Dr.Jit looks at all emitters of the process, those of other scenes too
         reason = " ".join(str(error).split())
         raise UserError(f"{scene.path}: its lamps cannot be sampled ({reason}); correct or remove them") from None

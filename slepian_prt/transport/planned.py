@@ -46,6 +46,8 @@ def plan_scene(
     scene: SceneSource,
     settings: TransportSettings,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
+    *,
+    lamps: bool = True,
 ) -> Iterator[PlannedScene]:
     """Load a scene and plan its transport; usable inside the with-block, with Mitsuba.
 
@@ -55,6 +57,8 @@ def plan_scene(
     settings : TransportSettings
     on_plan : callable
         Given the effects of the plan.
+    lamps : bool
+        Whether light that is not distant is wanted.
 
     Raises
     ------
@@ -69,13 +73,13 @@ def plan_scene(
         clock.stop("load")
         survey = Survey.of(opened, settings.seed)
         view = opened.view if settings.view is not None else None
-        lamps = find_lamps(opened, settings.seed)
+        found = replace(find_lamps(opened, settings.seed), wanted=lamps)
         plan = survey.plan(settings.bandlimit, settings.samples, settings.effects, view)
-        plan = lamps.add_rows(plan, settings.samples)
+        plan = found.add_rows(plan, settings.samples)
         on_plan(plan.effects)
         _remark_on_closed(opened, plan.shadows, settings.seed)
         clock.stop("plan")
-        yield PlannedScene(opened, settings, survey, plan, clock, lamps)
+        yield PlannedScene(opened, settings, survey, plan, clock, found)
 
 
 @dataclass(frozen=True, eq=False)

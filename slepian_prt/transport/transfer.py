@@ -193,10 +193,7 @@ def precompute(
 
 
 def compute_transfer(
-    planned: PlannedScene,
-    advance: Callable[[int, int], None] = lambda _done, _total: None,
-    *,
-    lamps: bool = True,
+    planned: PlannedScene, advance: Callable[[int, int], None] = lambda _done, _total: None
 ) -> Transfer:
     """All vectors of a planned scene, in memory.
 
@@ -205,8 +202,6 @@ def compute_transfer(
     planned : PlannedScene
     advance : callable
         Given (vertices finished since the last call, vertices in all).
-    lamps : bool
-        Whether light that is not distant is wanted.
     """
     scene, plan, settings = planned.scene, planned.plan, planned.settings
     receivers, mesh = scene.receivers, scene.mesh
@@ -223,7 +218,7 @@ def compute_transfer(
     interior.fill(vectors)
     interior.fill(blocked)
     planned.clock.stop("transport")
-    fixed, fixed_rays = direct_fixed_lights(planned, interior) if lamps else (None, 0)
+    fixed, fixed_rays = direct_fixed_lights(planned, interior)
     if fixed is not None:
         planned.clock.stop("fixed lights")
     rays += fixed_rays

@@ -39,6 +39,16 @@ def test_curves_are_told_apart(kind, hair):
     assert first != other
 
 
+def test_what_a_material_leaves_unset_does_not_matter(hair):
+    """A hair BSDF shows None for the pigments that it is not given, which Mitsuba's own iteration fails at."""
+    with mitsuba() as mi:
+        plain, pigmented = (
+            digest(mi, type="linearcurve", filename=hair(), bsdf={"type": "hair", **more})
+            for more in ({}, {"eumelanin": 0.5, "pheomelanin": 0.2})
+        )
+    assert plain == pigmented
+
+
 @pytest.mark.parametrize("kind", ["sphere", "cylinder", "disk", "rectangle", "cube"])
 def test_shapes_with_a_transform_are_told_apart(kind):
     """Turned by a right angle, in the same box."""

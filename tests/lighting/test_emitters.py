@@ -19,6 +19,7 @@ from slepian_prt.lighting.environment import about_up, make_environment
 from slepian_prt.lighting.projection import lighting_at, project_environment
 from slepian_prt.lighting.texel_projection import TexelProjection
 from slepian_prt.renderer.variants import imported_mitsuba, mitsuba, prepare_llvm
+from slepian_prt.scene.mitsuba.files import silent
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from tests.numerics import assert_exact
 
@@ -122,8 +123,8 @@ def test_a_sky_that_changes_is_taken_at_time_zero():
 
 def test_a_sun_below_the_horizon_lights_nothing():
     with mitsuba() as mi:
-        mi.set_log_level(mi.LogLevel.Error)
-        emitter = sunsky(mi, -3.0)
+        with silent(mi):
+            emitter = sunsky(mi, -3.0)
         assert not project_environment(emitter, 4).any()
         assert not emitted_environment(mi, emitter, "test").texels.any()
 
@@ -157,7 +158,12 @@ def test_a_reference_is_traced_with_the_sky_itself(rng):
         emitter = sunsky(mi, 30.0, UP_Y)
         environment = emitted_environment(mi, emitter, "test")
         assert environment_emitter(mi, environment) is emitter
-        for other in (environment.rotated(10.0), make_environment(rng.random((4, 8, 3)))):
+        assert environment_emitter(mi, environment.turned(np.eye(3))) is emitter
+        for other in (
+            environment.rotated(10.0),
+            environment.turned(about_up(10.0)),
+            make_environment(rng.random((4, 8, 3))),
+        ):
             assert environment_emitter(mi, other)["type"] == "envmap"
 
 

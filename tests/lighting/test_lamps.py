@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.lamps import Lamp, lamps_of
+from slepian_prt.lighting.lamps import Lamp, lamps_of, scale_lamps
 from slepian_prt.renderer.variants import bitmap_module, mitsuba
 
 AREA = '<emitter type="area"><rgb name="radiance" value="1, 2, 3"/></emitter>'
@@ -72,3 +72,23 @@ def test_what_cannot_be(value, problem, tmp_path):
     bad = f'<emitter type="point" id="bad"><rgb name="intensity" value="{value}"/></emitter>'
     with pytest.raises(UserError, match=rf"^lit\.xml: lamp 'bad': its .*{problem}"):
         lamps(bad, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("scales", "expected"),
+    [
+        (0.5, [1.0, 1.0]),
+        ({"key": 0.0}, [0.0, 2.0]),
+        ({"key": 3.0, "*": 0.25}, [6.0, 0.5]),
+        ({"2 other lights": 2.0}, [4.0, 4.0]),
+    ],
+)
+def test_lamps_of_the_scene_are_dimmed_by_name(tmp_path, scales, expected):
+    key = '<emitter type="point" id="key"><rgb name="intensity" value="2"/></emitter>'
+    other = key.replace(' id="key"', "")
+    (tmp_path / "lit.xml").write_text(f'<scene version="3.0.0">{key}{other}</scene>')
+    with mitsuba() as mi:
+        loaded = mi.load_file(str(tmp_path / "lit.xml"), optimize=False)
+        scale_lamps(mi, loaded, scales)
+        found = [float(np.ravel(mi.traverse(lamp)["intensity.value"])[0]) for lamp in loaded.emitters()]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)

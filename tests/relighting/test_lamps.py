@@ -173,4 +173,8 @@ def test_command_line(folder, monkeypatch, capsys):
     ):
         assert main(["relight", "lit.prt", "-o", "no.npz", "--fixed-lights", option]) == 2
         assert message in capsys.readouterr().err
+    for one, named in (("bulb", "bulb"), ("*", "all lamps")):
+        given = [f"--fixed-lights={one}=1", f"--fixed-lights={one}=3"]
+        assert main(["relight", "lit.prt", "-o", "no.npz", *given]) == 2
+        assert f"--fixed-lights is given twice for {named}; give it once" in capsys.readouterr().err
     assert not (folder / "no.npz").exists()

@@ -226,6 +226,28 @@ def test_a_texture_that_is_there_under_that_name_stays(tmp_path, rng):
     assert image.stat().st_mtime_ns == before
 
 
+def test_another_image_of_that_name_stays(tmp_path, rng):
+    """The user's own, in the folder that the mesh is written to or is moved to; ours has the next name that is free."""
+    mesh = sphere(1)
+    white = np.full((len(mesh.positions), 3), 0.4, dtype=np.float32)
+    painted = paint_mesh(mesh, (Part("ball", 0, len(white)),), white, white, detail_of(mesh, 0, rng), scale=1.0)
+    unfinished = tmp_path / "unfinished"
+    unfinished.mkdir()
+    own = {name: name.encode() for name in ("a_texture.png", "a_texture_2.png")}
+    for name, content in own.items():
+        (tmp_path / name).write_bytes(content)
+    write_textured_ply(unfinished / "a.ply", painted, folder=tmp_path)
+    for _ in range(2):  # the second time it is there
+        write_textured_ply(tmp_path / "a.ply", painted)
+    assert {name: (tmp_path / name).read_bytes() for name in own} == own
+    assert sorted(path.name for path in unfinished.iterdir()) == ["a.ply", "a_texture_3.png"]
+    assert sorted(path.name for path in tmp_path.glob("*.png")) == [*sorted(own), "a_texture_3.png"]
+    for folder in (tmp_path, unfinished):
+        assert (folder / "a_texture_3.png").read_bytes() == TEXTURE.source
+        (part,) = read_parts(folder / "a.ply").parts
+        assert part.material.texture.source == folder / "a_texture_3.png"
+
+
 @pytest.mark.parametrize("mode", ["I;16", "CMYK", "P"])
 def test_any_image_becomes_one_that_viewers_read(tmp_path, mode):
     from slepian_prt.scene.reflectance.textures import encoded_image

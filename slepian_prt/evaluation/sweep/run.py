@@ -69,7 +69,7 @@ def sweep(
         raise UserError(f"noise must be a number in (0, 1), not {noise!r}")
     settings = list(axes.settings())
     finest = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
-    with plan_scene(scene, finest, on_plan) as planned:
+    with plan_scene(scene, finest, on_plan, lamps=False) as planned:
         environments = lights_of(planned.scene, environments)
         kept = SweepCheckpoint(checkpoint, planned, environments, noise)
         points = {setting: kept.points[setting] for setting in settings if setting in kept.points}
@@ -90,7 +90,7 @@ def sweep(
             of_rays = planned.with_settings(samples=samples, bounces=bounces)
             shares = measure_shares(of_rays, axes.bandlimits)
             of_rays.clock.stop("timing")
-            transfer = compute_transfer(of_rays, lamps=False)
+            transfer = compute_transfer(of_rays)
             for setting in left:
                 report(setting.label)
                 points[setting] = measurer.measure(setting, transfer, shares[setting.bandlimit])

@@ -24,7 +24,7 @@ from slepian_prt.transport.transfer import Transfer
 _SEED = 17
 
 # Of a relit picture where the scene has no camera, in pixels.
-_WIDTH = 800
+DEFAULT_WIDTH = 800
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,8 @@ def relit_camera(
     # Both sides are at the same places: rays would meet either.
     fronts = replace(packed.mesh, faces=packed.mesh.faces[~is_back(packed.parts, packed.mesh.faces)])
     with open_scene(fronts) as scene:
-        aimed = aim_camera(replace(scene, view=packed.view), aim, width or _WIDTH, toward_view=packed.toward_view)
+        viewed = replace(scene, view=packed.view)
+        aimed = aim_camera(viewed, aim, width or DEFAULT_WIDTH, toward_view=packed.toward_view)
         return trace_camera(aimed, width, backs=backs, detail=detail)
 
 
@@ -264,20 +265,16 @@ def _trace_barycentric(
     facing = np.array(toward)
     seen = np.zeros(facing.size, dtype=bool)
     shape = (seen.size, len(scene.mesh.positions))
-    barycentric = csr_array(shape, dtype=np.float32)
-    for part, mesh in zip(scene.parts, scene.shapes, strict=False):
-        on_part = np.array(hit.is_valid() & (hit.shape == mi.ShapePtr(mesh)))
-        if not on_part.any():
-            continue
-        rays = np.flatnonzero(on_part)
-        corners = np.array(mesh.face_indices(hit.prim_index, mi.Bool(on_part)))[:, rays].astype(np.int64) + part.first
-        corners = np.where(facing[rays], corners, backs[corners])
-        kept = (corners >= 0).all(axis=0)
-        rays, corners = rays[kept], corners[:, kept]
-        u, v = np.array(hit.prim_uv)[:, rays]
-        entries = np.concatenate([1.0 - u - v, u, v]).astype(np.float32)
-        barycentric = barycentric + csr_array((entries, (np.tile(rays, 3), corners.ravel())), shape=shape)
-        seen[rays] = True
+    face = np.array(scene.hit_faces(hit))
+    rays = np.flatnonzero(face >= 0)
+    corners = scene.faces[face[rays]].T.astype(np.int64)
+    corners = np.where(facing[rays], corners, backs[corners])
+    kept = (corners >= 0).all(axis=0)
+    rays, corners = rays[kept], corners[:, kept]
+    u, v = np.array(hit.prim_uv)[:, rays]
+    entries = np.concatenate([1.0 - u - v, u, v]).astype(np.float32)
+    barycentric = csr_array((entries, (np.tile(rays, 3), corners.ravel())), shape=shape)
+    seen[rays] = True
     reflectance = np.ones((1, seen.size), dtype=np.float32)
     if textures is not None:
         u, v = hit.prim_uv

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
+from slepian_prt.compression.stream import compress
+from slepian_prt.errors import UserError, check_integer
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.lighting.fixed_lights import lamp_scales
+from slepian_prt.lighting.lamps import scale_lamps
 from slepian_prt.relighting.drawing.camera import relit_camera
-from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scale_lamps, scene_camera
-from slepian_prt.relighting.drawing.scene_source import Source, find_source, missing_in_picture, open_source
+from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scene_camera
 from slepian_prt.relighting.drawing.shots import Drawing, SceneDrawing, VertexDrawing
-from slepian_prt.relighting.operator import transfer_operator
-from slepian_prt.relighting.relight import relight
+from slepian_prt.relighting.relight import white_radiance
+from slepian_prt.relighting.source import Source, locate_source
 from slepian_prt.scene.view import Aim
 from slepian_prt.transport.transfer import Transfer
 
@@ -72,14 +72,11 @@ class Taking:
     spp: int | None = None
 
     def __post_init__(self) -> None:
-        if self.spp is not None and not 1 <= self.spp <= _MOST_SAMPLES:
-            raise UserError(f"spp must be between 1 and {_MOST_SAMPLES} samples of each pixel, not {self.spp}")
+        if self.spp is not None:
+            object.__setattr__(self, "spp", check_integer(self.spp, "spp", 1, _MOST_SAMPLES))
 
 
 _MOST_SAMPLES = 65536
-
-# Of a picture where the scene has no camera, in pixels.
-_WIDTH = 800
 
 
 def open_drawing(
@@ -109,7 +106,7 @@ def open_drawing(
         A scene that is named and cannot be used, or a view that cannot be taken.
     """
     source = locate_source(mi, packed, taking.scene, file, report)
-    if source.scene is not None and isinstance(packed, CompressedTransfer):
+    if source.scene is not None:
         drawing = _scene_drawing(mi, packed, lit, taking, source, report)
         try:
             drawing.picture(0)
@@ -124,75 +121,24 @@ def open_drawing(
     )
 
 
-def locate_source(
-    mi: Any,
-    packed: Transfer | CompressedTransfer,
-    scene: str | Path | None,
-    file: str | Path | None,
-    report: Callable[[str], None],
-) -> Source:
-    """What the transfer was made from, with a remark where it is wanted and cannot be had.
-
-    Raises
-    ------
-    UserError
-        It is named and cannot be used.
-    """
-    if packed.toward_view:  # the reflectance is in the transfer
-        return Source()
-    path = find_source(packed, file, scene)
-    if path is None:
-        _report_missing(packed, report)
-        return Source()
-    try:
-        return open_source(mi, packed, path)
-    except UserError as error:
-        if scene is not None:
-            raise
-        report(f"{error}; until then its colours are drawn as the vertices have them")
-        return Source()
-
-
-def _report_missing(packed: Transfer | CompressedTransfer, report: Callable[[str], None]) -> None:
-    lacking = missing_in_picture(packed)
-    if packed.source and lacking:
-        shown = "; ".join(lacking[:3]) + ("; …" if len(lacking) > 3 else "")
-        report(
-            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name its `scene`"
-        )
-
-
 def _scene_drawing(
     mi: Any,
-    packed: CompressedTransfer,
+    packed: Transfer | CompressedTransfer,
     lit: Lit,
     taking: Taking,
     source: Source,
     report: Callable[[str], None],
 ) -> SceneDrawing:
     assert source.origin is not None
+    if isinstance(packed, Transfer):  # the integrator draws what files hold; float32 loses nothing of it
+        packed = compress(packed, "none", clusters=1, coding="float32")
     scale_lamps(mi, source.scene, lit.fixed_lights)
-    camera = scene_camera(mi, packed, source.scene, source.origin, taking.width or _WIDTH, taking.aim)
+    camera = scene_camera(mi, packed, source.scene, source.origin, taking.width, taking.aim)
     camera = replace(camera, samples=taking.spp)
     environments: list[Environment | None] = list(lit.environments()) or [None] * len(lit.lighting)
     if lit.own_turns is not None:
         own = own_environment(mi, source.scene, str(source.path))
         if own is not None:
-            environments = [replace(own, to_world=turn @ own.to_world) for turn in lit.own_turns]
+            environments = [own.turned(turn) for turn in lit.own_turns]
     lights = tuple(Light(one, shown) for one, shown in zip(lit.lighting, environments, strict=True))
     return SceneDrawing(camera, lights, report)
-
-
-def white_radiance(
-    transfer: Transfer | CompressedTransfer,
-    lighting: NDArray[np.float64],
-    fixed_lights: float | Mapping[str, float] = 1.0,
-) -> NDArray[np.float32]:
-    """(B, V, 3) radiance that receivers of unit albedo would send back, under lights (B, 3, (L+1)²) and the lamps."""
-    if not isinstance(transfer, CompressedTransfer):
-        white = replace(transfer.mesh, albedo=np.ones_like(transfer.mesh.albedo))
-        return relight(replace(transfer, mesh=white), lighting, fixed_lights=fixed_lights)
-    radiance = transfer_operator(transfer).apply(lighting)
-    if transfer.fixed is not None:
-        radiance += transfer.fixed.radiance(lamp_scales(transfer.fixed, fixed_lights))
-    return radiance

@@ -157,7 +157,7 @@ def _draw(
 
     def environments() -> tuple[Environment, ...]:
         read = read_environment(environment) if isinstance(environment, str | Path) else environment
-        return (replace(read, to_world=up_rotation(up) @ read.to_world),) if isinstance(read, Environment) else ()
+        return (read.turned(up_rotation(up)),) if isinstance(read, Environment) else ()
 
     own = (np.eye(3),) if lighting is None else None
     radiance = relight(transfer, coefficients, fixed_lights=fixed_lights)

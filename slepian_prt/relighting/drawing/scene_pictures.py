@@ -6,40 +6,36 @@ a surface is met that it does hold; textures are looked up at the point seen.
 
 from __future__ import annotations
 
-import gc
 import math
-import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
 from slepian_prt.lighting.environment import Environment
-from slepian_prt.lighting.fixed_lights import OTHERS
-from slepian_prt.lighting.lamps import lamps_of
-from slepian_prt.relighting.drawing.camera import aim_camera, middle_directions
+from slepian_prt.lighting.lamps import lamp_places
+from slepian_prt.relighting.drawing.camera import DEFAULT_WIDTH, middle_directions
 from slepian_prt.relighting.drawing.pictures import Picture
+from slepian_prt.relighting.mitsuba.remarks import heard_remarks
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
-from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.mitsuba.files import silent
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
-from slepian_prt.scene.sensors import sensor
-from slepian_prt.scene.view import Aim
+from slepian_prt.scene.mitsuba.instances import groups_in
+from slepian_prt.scene.sensors import view_sensor
+from slepian_prt.scene.view import Aim, aimed_view
 from slepian_prt.sphere.harmonics import bandlimit_of, real_sh
 
-# Samples of each pixel are taken so many at a time, and no longer in tiles of so many pixels that have less than this
-# noise (relative RMS, measured from one such batch to the next), or once so many are taken. Tiles darker than a part of
-# the mean of the picture count as being that bright.
-_BATCH, _NOISE, _MOST_SAMPLES = 8, 0.02, 128
+# Samples of each pixel are taken so many at a time. How many a tile of pixels gets, for this noise (relative RMS), a
+# pilot of some batches says, which is not part of the picture: means that stop where their own samples look quiet are
+# too dark. Tiles darker than a part of the mean of the picture count as being that bright, and each gets as many as the
+# noisiest beside it, so that bright paths that a pilot has missed do not stand out.
+_BATCH, _NOISE, _LEAST_SAMPLES, _MOST_SAMPLES = 8, 0.02, 16, 128
+_PILOT_BATCH, _PILOT_BATCHES = 4, 4
 _TILE, _DARK = 8, 0.1
-
-# Parameters that say how bright an emitter is.
-_BRIGHTNESS = r"(radiance|intensity|irradiance)\b.*(value|data)$"
 
 # Rays that are followed at once.
 _RAYS = 1 << 20
@@ -91,26 +87,26 @@ class SceneCamera:
         """(H, W, 3) through the middles of the pixels, in world space."""
         return middle_directions(self.mi, self.sensor)
 
-    def picture(self, light: Light) -> Picture:
-        """The scene under a light, against an empty background."""
+    def picture(self, light: Light) -> tuple[Picture, list[str]]:
+        """The scene under a light, against an empty background, and remarks on what of it is not drawn."""
         mi = self.mi
-        # Scenes of earlier pictures refer to themselves. While they live, their materials and emitters are compiled
-        # into every kernel, which then takes longer, and which Dr.Jit has been seen to abort at.
-        gc.collect()
-        with _quiet(mi):
-            integrator = scene_integrator(mi, self.packed, lighting=light.lighting)
+        with silent(mi):
+            emitters = self.loaded.emitters()
+            lamps = {name: emitters[place] for name, place in lamp_places(mi, self.loaded).items()}
+            integrator = scene_integrator(mi, self.packed, lighting=light.lighting, lamps=lamps)
             scene = _relit_scene(mi, self.loaded, light)
-            return _gather(mi, scene, integrator, self.sensor, self.samples)
+        with heard_remarks(mi) as remarks:
+            return _gather(mi, scene, integrator, self.sensor, self.samples), remarks
 
 
 def scene_camera(
-    mi: Any, packed: CompressedTransfer, loaded: Any, origin: NDArray[np.float64], width: int, aim: Aim | None
+    mi: Any, packed: CompressedTransfer, loaded: Any, origin: NDArray[np.float64], width: int | None, aim: Aim
 ) -> SceneCamera:
     """The camera that `relit_camera` gives, in a Mitsuba scene whose origin is that point of the world."""
-    with open_scene(packed.mesh) as scene:
-        aimed = aim_camera(replace(scene, view=packed.view), aim, width, toward_view=packed.toward_view)
-    in_scene = replace(aimed, mi=mi, origin=origin, scale=1.0)
-    return SceneCamera(mi, packed, loaded, sensor(in_scene, width))
+    receivers = packed.mesh.receivers
+    points = receivers.positions[receivers.active] if receivers.active.any() else receivers.positions
+    view = aimed_view(aim, packed.view, points, width or DEFAULT_WIDTH)
+    return SceneCamera(mi, packed, loaded, view_sensor(mi, view, width, origin=origin))
 
 
 def own_environment(mi: Any, loaded: Any, origin: str) -> Environment | None:
@@ -132,7 +128,8 @@ def environment_of(lighting: NDArray[np.float64]) -> Environment:
 
 def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     """The shapes and lamps of a scene under another distant light."""
-    entries: dict[str, Any] = {f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
+    entries: dict[str, Any] = {f"group_{index}": group for index, group in enumerate(groups_in(mi, loaded))}
+    entries |= {f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
     on_shapes = mi.EmitterFlags.Surface
     for index, emitter in enumerate(loaded.emitters()):
         if not emitter.is_environment() and not mi.has_flag(emitter.flags(), on_shapes):
@@ -145,87 +142,66 @@ def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     return load_keeping_ids(mi, {"type": "scene", **entries})
 
 
-def scale_lamps(mi: Any, loaded: Any, scales: float | Mapping[str, float]) -> None:
-    """Make the lamps of a scene so many times as bright, by the names that transfer files know them by.
-
-    Raises
-    ------
-    UserError
-        One of another brightness is wanted whose radiance is an image of bytes.
-    """
-    emitters = loaded.emitters()
-    for lamp in lamps_of(mi, loaded, "the scene"):
-        scale = _scale_of(lamp.name, scales)
-        if scale == 1.0:
-            continue
-        emitter = emitters[lamp.place]
-        parameters = mi.traverse(emitter)
-        found = [name for name, _ in parameters if re.match(_BRIGHTNESS, name)]
-        own = [name for name, _ in parameters if name == "scale"] or found
-        if not own or any("u8" in type(parameters[name]).__name__.lower() for name in own):
-            raise UserError(
-                f"the brightness of lamp '{lamp.name}' cannot be changed in pictures; leave out `fixed_lights`"
-            )
-        for name in own:
-            parameters[name] = parameters[name] * scale
-        parameters.update()
-
-
-def _scale_of(name: str, scales: float | Mapping[str, float]) -> float:
-    """Of one lamp; those that a file holds as one have that one's."""
-    if not isinstance(scales, Mapping):
-        return float(scales)
-    joined = next((scale for known, scale in scales.items() if known.endswith(" other lights")), 1.0)
-    return scales.get(name, scales.get(OTHERS, joined))
-
-
-@contextmanager
-def _quiet(mi: Any) -> Iterator[None]:
-    """Without Mitsuba's warnings, which go to standard output."""
-    level = mi.log_level()
-    try:
-        mi.set_log_level(mi.LogLevel.Error)
-        yield
-    finally:
-        mi.set_log_level(level)
-
-
 def _gather(mi: Any, scene: Any, integrator: Any, view: Any, samples: int | None) -> Picture:
     """Mean radiance of each pixel over what rays meet, and the part of them that meet anything."""
     columns, rows = (int(n) for n in view.film().size())
-    pixels = rows * columns
-    total, squares = np.zeros((pixels, 4)), np.zeros((pixels, 4))  # Σ batch means, and of their squares
-    batches, weights = np.zeros(pixels), np.zeros(pixels)  # how many, and of how many samples each
-    tile = (np.arange(pixels) // columns // _TILE) * (columns // _TILE + 1) + np.arange(pixels) % columns // _TILE
-    active, taken = np.arange(pixels), 0
-    while len(active) and taken < (samples or _MOST_SAMPLES):
-        count = min(_BATCH, (samples or _MOST_SAMPLES) - taken)
-        each = max(_RAYS // count, 1)
-        for first in range(0, len(active), each):
-            chosen = active[first : first + each]
-            mean = _trace(mi, scene, integrator, view, chosen, range(taken, taken + count))
-            total[chosen] += count * mean
-            squares[chosen] += count * mean**2
-        weights[active] += count
-        batches[active] += 1
-        taken += count
-        if samples is None and taken > _BATCH:
-            noisy = _tile_noise(total[:, :3], squares[:, :3], weights, batches, tile) > _NOISE
-            active = active[noisy[tile[active]]]
-    mean = (total / weights[:, None]).reshape(rows, columns, 4)
+    first = 0
+    if samples is None:
+        first = _PILOT_BATCH * _PILOT_BATCHES
+        wanted = _samples_wanted(_pilot(mi, scene, integrator, view), rows, columns)
+    else:
+        wanted = np.full(rows * columns, samples)
+    total = np.zeros((rows * columns, 4))
+    for taken in range(0, int(wanted.max()), _BATCH):
+        active = np.flatnonzero(wanted > taken)
+        count = min(_BATCH, int(wanted.max()) - taken)
+        numbers = range(first + taken, first + taken + count)
+        total[active] += count * _trace_pixels(mi, scene, integrator, view, active, numbers)
+    mean = (total / wanted[:, None]).reshape(rows, columns, 4)
     return Picture(mean[..., :3].astype(np.float32), mean[..., 3].astype(np.float32))
 
 
-def _tile_noise(
-    total: NDArray, squares: NDArray, weights: NDArray, batches: NDArray, tile: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Relative RMS error of each tile of pixels, from the variance of the means of equal batches."""
-    mean = total / weights[:, None]
-    variance = np.maximum(squares / weights[:, None] - mean**2, 0.0) / (batches[:, None] - 1.0)
+def _pilot(mi: Any, scene: Any, integrator: Any, view: Any) -> NDArray[np.float64]:
+    """(batches, pixels, 3) means of radiance over a few samples of each pixel."""
+    columns, rows = (int(n) for n in view.film().size())
+    pixels = np.arange(rows * columns)
+    begins = range(0, _PILOT_BATCH * _PILOT_BATCHES, _PILOT_BATCH)
+    return np.stack(
+        [
+            _trace_pixels(mi, scene, integrator, view, pixels, range(begin, begin + _PILOT_BATCH))[:, :3]
+            for begin in begins
+        ]
+    )
+
+
+def _samples_wanted(pilot: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.int64]:
+    """(pixels,) how many samples bring each tile, and those around it, to the noise that is allowed, in whole batches.
+
+    Parameters
+    ----------
+    pilot : (batches, pixels, 3)
+    rows, columns : int
+        Of the picture.
+    """
+    down, across = np.arange(rows * columns) // columns // _TILE, np.arange(rows * columns) % columns // _TILE
+    shape = (int(down[-1]) + 1, int(across.max()) + 1)
+    tile = down * shape[1] + across
+    mean, variance = pilot.mean(axis=0), _PILOT_BATCH * pilot.var(axis=0, ddof=1)  # the latter of one sample
     error, power = (np.bincount(tile, values.sum(axis=1)) for values in (variance, mean**2))
-    size = np.bincount(tile)
-    floor = (_DARK * float(mean.mean())) ** 2 * 3.0 * size
-    return np.asarray(np.sqrt(error / np.maximum(np.maximum(power, floor), 1e-300)))
+    floor = (_DARK * float(mean.mean())) ** 2 * 3.0 * np.bincount(tile)
+    relative = error / np.maximum(np.maximum(power, floor), 1e-300)
+    around = maximum_filter(relative.reshape(shape), size=3, mode="nearest").ravel()
+    batches = np.ceil(np.minimum(around / _NOISE**2, _MOST_SAMPLES) / _BATCH)
+    return np.asarray(np.maximum(batches.astype(np.int64) * _BATCH, _LEAST_SAMPLES)[tile])
+
+
+def _trace_pixels(
+    mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray[np.int64], numbers: range
+) -> NDArray[np.float64]:
+    """As `_trace`, as many at a time as memory allows."""
+    each = max(_RAYS // len(numbers), 1)
+    parts = (pixels[begin : begin + each] for begin in range(0, len(pixels), each))
+    return np.concatenate([_trace(mi, scene, integrator, view, part, numbers) for part in parts])
 
 
 def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, numbers: range) -> NDArray[np.float64]:
@@ -241,7 +217,9 @@ def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, num
     inside = (shift + np.tile(np.array(numbers), len(pixels))[:, None] * step) % 1.0
     x, y = (pixel % columns + inside[:, 0]) / columns, (pixel // columns + inside[:, 1]) / rows
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(mi.UInt32(_SEED + numbers.start * (rows * columns) + int(pixels[0])), lanes)
+    # Mixed, so that no two calls have the same, however many there are.
+    seed = np.random.SeedSequence([_SEED, numbers.start, int(pixels[0])]).generate_state(1)[0]
+    sampler.seed(mi.UInt32(int(seed)), lanes)
     place = mi.Point2f(x.astype(np.float32), y.astype(np.float32))
     ray, _ = view.sample_ray_differential(0.0, 0.5, place, sampler.next_2d())
     ray.scale_differential(1.0 / math.sqrt(len(numbers)))

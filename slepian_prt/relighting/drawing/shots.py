@@ -52,12 +52,16 @@ class VertexDrawing:
 
 @dataclass(frozen=True, eq=False)
 class SceneDrawing:
-    """A scene gathered under each light, once; several pictures wait in a file for their common exposure."""
+    """A scene gathered under each light, once; several pictures wait in a file for their common exposure.
+
+    What of the scene is not drawn is reported, each thing once.
+    """
 
     camera: SceneCamera
     lights: tuple[Light, ...]
     report: Callable[[str], None] = lambda _: None
     _drawn: set[int] = field(default_factory=set)
+    _told: set[str] = field(default_factory=set)
 
     @cached_property
     def directions(self) -> NDArray[np.float32]:
@@ -77,7 +81,12 @@ class SceneDrawing:
         """Gathered, or as it was when it was asked for before."""
         if number not in self._drawn:
             started = time.perf_counter()
-            self._kept[number] = np.dstack(self.camera.picture(self.lights[number]))
+            picture, remarks = self.camera.picture(self.lights[number])
+            self._kept[number] = np.dstack(picture)
+            for remark in remarks:
+                if remark not in self._told:
+                    self._told.add(remark)
+                    self.report(remark)
             seconds = (time.perf_counter() - started) * len(self.lights)
             if not self._drawn and len(self.lights) > _MANY:
                 self.report(f"{len(self.lights)} pictures are gathered, which takes about {seconds / 60.0:.1f} minutes")

@@ -89,6 +89,9 @@ class TextureLookup:
                 place += weight * dr.gather(mi.Float, self._uv[which], 6 * face + (2 * corner + axis), has)
             size.append(dr.gather(mi.Int32, self._size[axis], slot, has))
             wrap.append(dr.gather(mi.UInt32, self._wrap[axis], slot, has))
+            # Within two images, after which each way to continue is as before: indices of many are not exact.
+            clamped = wrap[axis] == _WRAPS.index("clamp")
+            place = dr.select(clamped, dr.clip(place, -1.0, 2.0), place - 2.0 * dr.floor(0.5 * place))
             place = place * mi.Float(size[axis]) - 0.5
             low.append(dr.floor(place))
             part.append(place - low[axis])

@@ -1,33 +1,52 @@
-"""The bitmaps of a Mitsuba scene on the faces of a transfer file, for meshes that are written with their textures."""
+"""The textures of a Mitsuba scene on the faces of a transfer file, for meshes that are written with them."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.relighting.drawing.pictures import encode_srgb
-from slepian_prt.scene.formats.parts import Texture, Wrap
+from slepian_prt.relighting.files.baked_textures import BakedTexture, bake_texture
+from slepian_prt.renderer.shape_names import shape_name
+from slepian_prt.scene.formats.parts import Texture
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
+from slepian_prt.scene.mitsuba.instances import copy_name, instanced_groups
+from slepian_prt.scene.reflectance.bsdf_parts import is_textured
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
-
-# Where the reflectance of a diffuse BSDF is among its parameters, by its class.
-_REFLECTANCE = {"SmoothDiffuse": "reflectance", "TwoSidedBRDF": "brdf_0.reflectance"}
 
 # How far within a face its corners are looked up, so that texture coordinates are those of its side of a seam; and how
 # far from the face its surface may be, in lengths of its longest side.
 _INSIDE, _REACH = 0.125, 0.3
 
-_WRAPS: tuple[Wrap, ...] = ("repeat", "mirror", "clamp")
-_PROBES = 64
 
-# Texels that are evaluated at once.
-_TEXELS = 1 << 22
+class _Source(NamedTuple):
+    """What a part was made from: a Mitsuba shape, and the (4, 4) transform that a copy of it is placed by."""
+
+    shape: Any
+    matrix: NDArray[np.float64]
+
+
+class _Baker:
+    """Bakes each side of each material once."""
+
+    def __init__(self, mi: Any) -> None:
+        self._mi = mi
+        self._made: dict[tuple[int, int], tuple[Any, BakedTexture | None]] = {}
+
+    def bake(self, bsdf: Any, name: str, side: int) -> BakedTexture | None:
+        """As `bake_texture`."""
+        key = id(bsdf), side
+        if key not in self._made:
+            made = bake_texture(self._mi, bsdf, name, side=side)
+            front = self.bake(bsdf, name, 1) if side < 0 and made is not None else None
+            if front is not None and made is not None and front.is_same(made):
+                made = front
+            self._made[key] = bsdf, made  # with the BSDF, so that no other one gets its address
+        return self._made[key][1]
 
 
 def bitmap_detail(
@@ -38,11 +57,11 @@ def bitmap_detail(
     parts: tuple[Part, ...],
     report: Callable[[str], None] = lambda _: None,
 ) -> SurfaceDetail | None:
-    """Bitmaps that diffuse materials of a scene reflect, on the faces of the mesh that was made from it.
+    """What textured materials of a scene reflect diffusely, as images on the faces of the mesh that was made from it.
 
     Parameters
     ----------
-    mi : Mitsuba, in the variant of the scene
+    mi : Mitsuba, in an RGB variant
     loaded : Mitsuba scene
     origin : (3,)
         The point of the world that is the origin of the scene.
@@ -53,30 +72,33 @@ def bitmap_detail(
 
     Returns
     -------
-    None without any such bitmap. Reflectance of faces without one is left at 1.
+    None without any such image. Reflectance of faces without one is left at 1.
     """
-    shapes = {shape.id() or f"shape_{index}": shape for index, shape in enumerate(loaded.shapes())}
+    sources, baker = _sources(mi, loaded), _Baker(mi)
     choice = np.full(len(mesh.faces), -1, dtype=np.int32)
     uv = np.zeros((len(mesh.faces), 3, 2), dtype=np.float32)
     textures: list[Texture] = []
     left: list[str] = []
     for part in parts:
-        shape = shapes.get(part.name)
-        bsdf = None if shape is None else shape.bsdf()
-        if bsdf is None:
+        source = sources.get(part.name)
+        bsdf = None if source is None else source.shape.bsdf()
+        if source is None or bsdf is None or not is_textured(mi, bsdf):
             continue
-        texture = _bitmap_of(mi, bsdf, part.name)
-        if texture is None:
-            left += [part.name] if _has_texture(mi, bsdf) else []
-            continue
-        faces = np.flatnonzero((mesh.faces[:, 0] >= part.first) & (mesh.faces[:, 0] < part.end))
-        placed, found = _coordinates(mi, shape, mesh, part, faces, origin)
-        uv[faces] = _transformed(mi, bsdf, placed)
-        choice[faces[found]] = len(textures)
-        textures.append(texture)
+        for number in range(part.sides):
+            baked = baker.bake(bsdf, part.name, 1 if number == 0 else -1)
+            if baked is None:
+                left += [] if part.name in left else [part.name]
+                continue
+            first = part.first + number * part.count
+            faces = np.flatnonzero((mesh.faces[:, 0] >= first) & (mesh.faces[:, 0] < first + part.count))
+            placed, found = _coordinates(mi, source, mesh, part, faces, origin)
+            uv[faces] = baked.coordinates(placed)
+            if baked.texture not in textures:
+                textures.append(baked.texture)
+            choice[faces[found]] = textures.index(baked.texture)
     if left:
         names = ", ".join(f"'{name}'" for name in left[:3]) + (", …" if len(left) > 3 else "")
-        report(f"textures of {names} are no bitmaps of a diffuse material; they are written as colours of vertices")
+        report(f"textures of {names} are no single image; they are written as colours of vertices")
     if not textures:
         return None
     none = np.full(len(mesh.faces), -1, dtype=np.int32)
@@ -86,81 +108,35 @@ def bitmap_detail(
     )
 
 
-def _has_texture(mi: Any, bsdf: Any) -> bool:
-    """Whether any of the BSDF's parameters varies over a surface."""
-    return any(name.endswith((".to_uv", ".data")) for name, _ in mi.traverse(bsdf))
-
-
-def _bitmap_of(mi: Any, bsdf: Any, name: str) -> Texture | None:
-    """What the BSDF reflects, as an image; None if that is no bitmap."""
-    slot, parameters = _REFLECTANCE.get(bsdf.class_name()), mi.traverse(bsdf)
-    if slot is None or f"{slot}.data" not in parameters:
-        return None
-    from PIL import Image
-
-    height, width = parameters[f"{slot}.data"].shape[:2]
-    inverse = np.linalg.inv(_matrix(parameters[f"{slot}.to_uv"]))
-    # Texels are stored in many ways: what the BSDF reflects at their middles is linear in each.
-    columns, encoded = (np.arange(width) + 0.5) / width, np.empty((height, width, 3), dtype=np.uint8)
-    each = max(_TEXELS // width, 1)
-    for first in range(0, height, each):
-        rows = (np.arange(first, min(first + each, height)) + 0.5) / height
-        uv = np.stack(np.broadcast_arrays(columns, rows[:, None]), axis=-1).reshape(-1, 2)
-        linear = np.clip(_reflectance(mi, bsdf, _affine(inverse, uv)), 0.0, 1.0)
-        encoded[first : first + each] = (encode_srgb(linear) * 255.0 + 0.5).reshape(len(rows), width, 3)
-    stream = io.BytesIO()
-    Image.fromarray(encoded).save(stream, "PNG")
-    wrap = _wrap_of(mi, bsdf, inverse)
-    return Texture(f"of shape '{name}'", stream.getvalue(), (wrap, wrap))
-
-
-def _wrap_of(mi: Any, bsdf: Any, inverse: NDArray) -> Wrap:
-    """How a bitmap continues, which Mitsuba does not tell: as what it looks like beyond its border."""
-    rng = np.random.default_rng(0)
-    beyond = rng.random((_PROBES, 2)) + rng.integers(-2, 3, (_PROBES, 2))
-    folded = np.abs((beyond + 1.0) % 2.0 - 1.0)
-    candidates = (beyond % 1.0, folded, np.clip(beyond, 0.0, 1.0))
-    seen, *expected = (_reflectance(mi, bsdf, _affine(inverse, uv)) for uv in (beyond, *candidates))
-    return _WRAPS[int(np.argmin([np.median(np.abs(one - seen).max(axis=1)) for one in expected]))]
-
-
-def _reflectance(mi: Any, bsdf: Any, uv: NDArray) -> NDArray[np.float32]:
-    import drjit as dr
-
-    si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
-    si.uv = mi.Point2f(uv.T.astype(np.float32))
-    si.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    return np.array(bsdf.eval_diffuse_reflectance(si), dtype=np.float32).reshape(3, -1).T
-
-
-def _matrix(to_uv: Any) -> NDArray[np.float64]:
-    return np.array(to_uv.matrix, dtype=np.float64).reshape(3, 3)
-
-
-def _affine(matrix: NDArray, uv: NDArray) -> NDArray[np.float64]:
-    return np.asarray(uv @ matrix[:2, :2].T + matrix[:2, 2])
-
-
-def _transformed(mi: Any, bsdf: Any, uv: NDArray) -> NDArray[np.float64]:
-    to_uv = mi.traverse(bsdf)[f"{_REFLECTANCE[bsdf.class_name()]}.to_uv"]
-    return _affine(_matrix(to_uv), uv)
+def _sources(mi: Any, loaded: Any) -> dict[str, _Source]:
+    """The shapes of a scene, and of its instances, by the names of parts."""
+    sources = {shape_name(shape, index): _Source(shape, np.eye(4)) for index, shape in enumerate(loaded.shapes())}
+    for group in instanced_groups(mi, loaded, "the scene"):
+        for name, shape in zip(group.names(), group.shapes, strict=True):
+            sources |= {copy_name(name, each): _Source(shape, each.matrix) for each in group.instances}
+    return sources
 
 
 def _coordinates(
-    mi: Any, shape: Any, mesh: Mesh, part: Part, faces: NDArray[np.int64], origin: NDArray
+    mi: Any, source: _Source, mesh: Mesh, part: Part, faces: NDArray[np.int64], origin: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """(F', 3, 2) texture coordinates of the corners of some faces, and (F',) where they were found."""
     import drjit as dr
 
+    shape, inverse = source.shape, np.linalg.inv(source.matrix)
+
+    def in_shape(positions: NDArray) -> NDArray[np.float64]:
+        return np.asarray((positions - origin) @ inverse[:3, :3].T + inverse[:3, 3])
+
     if shape.is_mesh() and shape.vertex_count() == part.count and shape.has_vertex_texcoords():
-        places = np.array(shape.vertex_position(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T + origin
-        own = mesh.positions[part.first : part.first + part.count]
+        places = np.array(shape.vertex_position(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T
+        own = in_shape(mesh.positions[part.first : part.first + part.count])
         if np.abs(places - own).max() <= 1e-5 * max(float(np.ptp(own, axis=0).max()), 1e-300):
             given = np.array(shape.vertex_texcoord(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T
             return given[(mesh.faces[faces] - part.first) % part.count], np.ones(len(faces), dtype=bool)
     if shape.is_mesh() and not shape.has_vertex_texcoords():
         return np.zeros((len(faces), 3, 2)), np.zeros(len(faces), dtype=bool)
-    corners = mesh.positions[mesh.faces[faces]] - origin
+    corners = in_shape(mesh.positions[mesh.faces[faces]])
     inside = corners + _INSIDE * (corners.mean(axis=1, keepdims=True) - corners)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
@@ -75,13 +76,24 @@ def write_ply(path: str | Path, mesh: Mesh, colours: NDArray[np.uint8], texture:
         file.write(faces.tobytes())
 
 
-def write_textured_ply(path: str | Path, painted: PaintedMesh) -> None:
-    """Write a mesh, and beside it the texture that all of it has, as ``…_texture.png`` or ``.jpg``."""
+def write_textured_ply(path: str | Path, painted: PaintedMesh, folder: str | Path | None = None) -> None:
+    """Write a mesh, and beside it the texture that all of it has, as ``…_texture.png`` or ``.jpg``.
+
+    An image that is there under that name with other content stays: the next is ``…_texture_2.png``.
+
+    Parameters
+    ----------
+    path : path
+    painted : PaintedMesh
+    folder : path, optional
+        Where both files are moved to afterwards, if that is another one.
+    """
     texture = painted.pieces[0].texture
     assert texture is not None
     path, mesh = Path(path), painted.mesh
     content, suffix = encoded_image(texture)
-    image = path.with_name(f"{path.stem}_texture{suffix}")
+    beside = path.parent if folder is None else Path(folder)
+    name = _image_name(beside, f"{path.stem}_texture", suffix, content)
     counts = [len(piece.vertices) for piece in painted.pieces]
     starts = np.cumsum(counts) - counts
     vertices = np.concatenate([piece.vertices for piece in painted.pieces])
@@ -95,12 +107,21 @@ def write_textured_ply(path: str | Path, painted: PaintedMesh) -> None:
         faces=faces.astype(np.int32),
         albedo=mesh.albedo[vertices],
     )
-    own = texture.source
-    if not (isinstance(own, Path) and image.is_file() and image.samefile(own)):
-        with atomic_output(image) as file:
+    if beside != path.parent or not (beside / name).exists():
+        with atomic_output(path.with_name(name)) as file:
             file.write(content)
-    place = TextureOf(image.name, np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]))
+    place = TextureOf(name, np.column_stack([uv[:, 0], 1.0 - uv[:, 1]]))
     write_ply(path, split, (np.clip(colors, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), place)
+
+
+def _image_name(folder: Path, stem: str, suffix: str, content: bytes) -> str:
+    """The first name that is free in a folder, or has just that content."""
+
+    def is_usable(there: Path) -> bool:
+        return not there.exists() or (there.is_file() and there.read_bytes() == content)
+
+    names = (f"{stem}{suffix}" if number == 1 else f"{stem}_{number}{suffix}" for number in count(1))
+    return next(name for name in names if is_usable(folder / name))
 
 
 def fits_float32(mesh: Mesh) -> bool:

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.files import atomic_output
-from slepian_prt.relighting.drawing.drawings import locate_source, white_radiance
 from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
 from slepian_prt.relighting.files.coloured_mesh import write_ply, write_textured_ply
 from slepian_prt.relighting.files.glb_file import write_glb
 from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh, textured_faces
+from slepian_prt.relighting.relight import white_radiance
 from slepian_prt.relighting.series import Series
+from slepian_prt.relighting.source import locate_source
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
@@ -88,8 +89,26 @@ class Canvas:
     def _white(self, number: int) -> NDArray[np.float32] | None:
         return None if self.white is None else self.white[number]
 
-    def write(self, path: str | Path, number: int, scale: float | None = None, factor: float = 1.0) -> str:
-        """Write the mesh under one light, ``.glb`` or ``.ply``; a line about its colours."""
+    def write(
+        self,
+        path: str | Path,
+        number: int,
+        scale: float | None = None,
+        factor: float = 1.0,
+        folder: str | Path | None = None,
+    ) -> str:
+        """Write the mesh under one light, ``.glb`` or ``.ply``; a line about its colours.
+
+        Parameters
+        ----------
+        path : path
+        number : int
+            Of the light.
+        scale, factor
+            As of `paint_mesh`.
+        folder : path, optional
+            Where the file is moved to afterwards.
+        """
         painted = paint_mesh(
             self.mesh, self.parts, self.radiance[number], self._white(number), self.detail, scale, factor
         )
@@ -99,7 +118,7 @@ class Canvas:
             what = "radiance of white surfaces, which textures multiply," if textured else "radiance"
             return f"colours are {what} x {painted.scale:.4g}, linear"
         if textured:
-            write_textured_ply(path, painted)
+            write_textured_ply(path, painted, folder)
             what = "radiance of white surfaces, which the texture multiplies,"
             return f"colours are {what} x {painted.scale:.4g}, tone-mapped"
         used = write_coloured_mesh(path, self.mesh, self.radiance[number], scale, factor)

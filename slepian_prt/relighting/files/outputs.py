@@ -170,7 +170,7 @@ def _write_meshes(output: str, canvas: Canvas, names: Sequence[str], wish: Wish,
     scale = canvas.exposure()
     with complete_folder(output) as folder:
         for number, name in enumerate(names):
-            canvas.write(folder / f"{name}{wish.suffix}", number, scale, wish.finish.factor)
+            canvas.write(folder / f"{name}{wish.suffix}", number, scale, wish.finish.factor, output)
 
 
 @contextmanager

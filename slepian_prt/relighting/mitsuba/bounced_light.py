@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.lighting.fixed_lights import FixedLights
-from slepian_prt.lighting.lamps import emitted_light, lamp_kind
+from slepian_prt.lighting.fixed_lights import FixedLights, joined_count
+from slepian_prt.lighting.lamps import UNSEEN, emitted_light, lamp_kind
 
 # Lamps without a name are the same if they are of one kind and this near in brightness.
 _SAME = 1e-3
@@ -26,6 +27,9 @@ class BouncedLight:
         With these lamps, or some of them.
     factor : float
         Of all lamps.
+    named : mapping of str to Mitsuba emitter, optional
+        The lamps of the scene by the names that the file has for them. By default they are found by their ids, and
+        those without by their kind and brightness.
 
     Attributes
     ----------
@@ -33,46 +37,66 @@ class BouncedLight:
         Lamps of the scene that the file knows nothing of.
     """
 
-    def __init__(self, mi: Any, fixed: FixedLights | None, scene: Any, factor: float) -> None:
+    def __init__(
+        self,
+        mi: Any,
+        fixed: FixedLights | None,
+        scene: Any,
+        factor: float,
+        named: Mapping[str, Any] | None = None,
+    ) -> None:
         self._mi, self._factor = mi, factor
-        lamps = [emitter for emitter in scene.emitters() if not emitter.is_environment()]
-        self._lamps: list[tuple[Any, NDArray[np.float64], Any]] = []
-        self.unknown = tuple(_names(lamp)[0] for lamp in lamps)
+        if named is None:
+            lamps = [emitter for emitter in scene.emitters() if not emitter.is_environment()]
+            names = [_names(lamp)[0] for lamp in lamps]
+        else:
+            names, lamps = list(named), list(named.values())
+        self._lamps: list[tuple[Sequence[Any], NDArray[np.float64], Any]] = []
+        self.unknown = tuple(names)
         if fixed is None:
             return
-        found = _same_lamps(mi, fixed, lamps)
-        self.unknown = tuple(_names(lamp)[0] for i, lamp in enumerate(lamps) if i not in found.values())
+        if named is None:
+            found = _same_lamps(mi, fixed, lamps)
+        else:
+            found = {number: names.index(name) for number, name in enumerate(fixed.names) if name in named}
+        others = [i for i, lamp in enumerate(lamps) if i not in found.values() and _shines(mi, lamp)]
+        self.unknown = tuple(names[i] for i in others)
         for number, name in enumerate(fixed.names):
-            # Many lamps are one in the file, which cannot follow them.
-            joined = bool(self.unknown) and number not in found and name.endswith("other lights")
-            if joined:
-                self.unknown = ()
-            if (number in found or joined) and fixed.bounced[number].any():
+            same, then = [lamps[found[number]]] if number in found else [], fixed.emitted[number]
+            if not same and (count := joined_count(name)):
+                same = [lamps[i] for i in others if lamp_kind(lamps[i]) not in UNSEEN]
+                then = count * then
+                self.unknown = self.unknown if len(same) > count else ()
+            if same and fixed.bounced[number].any():
                 bounced = np.ascontiguousarray(fixed.bounced[number], dtype=np.float32)
-                lamp = None if joined else lamps[found[number]]
-                self._lamps.append((lamp, fixed.emitted[number], mi.Float(bounced.ravel())))
+                self._lamps.append((same, then, mi.Float(bounced.ravel())))
 
     def now(self) -> Any:
         """(3 V,) flat Float of radiance for unit albedo; None where there is none."""
         import drjit as dr
 
         mi, total = self._mi, None
-        for lamp, then, bounced in self._lamps:
-            factor = np.full(3, self._factor) if lamp is None else self._factor * brightened(mi, lamp, then)
+        for lamps, then, bounced in self._lamps:
+            factor = self._factor * brightened(mi, lamps, then)
             vertex = dr.arange(mi.UInt32, dr.width(bounced))
             some = bounced * dr.gather(mi.Float, mi.Float(factor.astype(np.float32)), vertex % 3)
             total = some if total is None else total + some
         return total
 
 
-def brightened(mi: Any, lamp: Any, then: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) how many times brighter a lamp is than it was; 1 where a spectrum does not tell."""
-    now = np.full(3, np.nan) if mi.is_spectral else emitted_light(mi, lamp)
+def brightened(mi: Any, lamps: Sequence[Any], then: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) how many times brighter lamps are, together, than they were; 1 where a spectrum does not tell."""
+    now = np.full(3, np.nan) if mi.is_spectral else np.sum([emitted_light(mi, lamp) for lamp in lamps], axis=0)
     known = np.isfinite(now) & (np.asarray(then) > 0.0)
     return np.divide(now, then, out=np.ones(3), where=known)
 
 
-def _same_lamps(mi: Any, fixed: FixedLights, lamps: list[Any]) -> dict[int, int]:
+def _shines(mi: Any, lamp: Any) -> bool:
+    """Whether a lamp is not set to zero, as far as that can be told."""
+    return bool(mi.is_spectral or emitted_light(mi, lamp).any())
+
+
+def _same_lamps(mi: Any, fixed: FixedLights, lamps: Sequence[Any]) -> dict[int, int]:
     """Places of lamps of a scene by numbers of those of a file: by name, else by kind and brightness."""
     found: dict[int, int] = {}
     for i, lamp in enumerate(lamps):
@@ -84,7 +108,8 @@ def _same_lamps(mi: Any, fixed: FixedLights, lamps: list[Any]) -> dict[int, int]
             continue
         now = emitted_light(mi, lamp)
         for number, (kind, then) in enumerate(zip(fixed.kinds, fixed.emitted, strict=True)):
-            if number not in found and kind == lamp_kind(lamp) and np.allclose(now, then, rtol=_SAME):
+            alone = number not in found and not joined_count(fixed.names[number])
+            if alone and kind == lamp_kind(lamp) and np.allclose(now, then, rtol=_SAME):
                 found[number] = i
                 break
     return found

@@ -12,6 +12,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.relighting.mitsuba.bounced_light import BouncedLight
 from slepian_prt.relighting.mitsuba.held_files import HeldFile
 from slepian_prt.relighting.mitsuba.lobes import PLAIN, material_kind
+from slepian_prt.relighting.mitsuba.remarks import log_warning
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
@@ -20,16 +21,6 @@ from slepian_prt.scene.reflectance.materials import diffuse_reflectance
 # Warned of: mean reflectance of a material below this, where the file knows none; fraction of negative vertices above.
 _ALL_REFLECTED = 0.99
 _NEGATIVE = 1e-3
-
-
-def log_warning(mi: Any, text: str) -> None:
-    """A sentence in Mitsuba's log, bare: `mi.Log` puts the file, line and function of ours before it that called it."""
-    level, logger, line = mi.LogLevel.Warn, mi.logger(), f"slepian_prt: {text}"
-    if level >= logger.error_level():  # the user wants warnings to be errors
-        mi.Log(level, line)
-    elif level >= logger.log_level():
-        for number in range(logger.appender_count()):
-            logger.appender(number).append(level, line)
 
 
 class BoundTransfer:
@@ -59,14 +50,14 @@ class BoundTransfer:
         self._mi = mi
         self.name = held.name
         self.packed = held.packed
-        self._lighting = held.lighting
+        self._lighting, self._lamps = held.lighting, held.lamps
         self.albedo = mi.TensorXf(np.ascontiguousarray(self.packed.mesh.albedo, dtype=np.float32))
         self._damping = damping(self.packed.bandlimit)
         self._fixed_lights = fixed_lights
         self._warned_of_negative = False
-        # Of the scene that was drawn last. It is not held itself, because it holds the integrator; its shapes are, so
-        # that no others are taken for them.
-        self._shapes: list[Any] = []
+        # Of the scene that was drawn last. It is not held itself, because it holds the integrator; its shapes and
+        # emitters are, so that no others are taken for them.
+        self._objects: list[Any] = []
         self._matched: Any = None
         self._surfaces: Any = None
         self._vertex_radiance: Any = None
@@ -80,7 +71,7 @@ class BoundTransfer:
             raise UserError(f"albedo of {self.name} must have shape {wanted}, not {self.albedo.shape}")
 
     def bind(self, scene: Any) -> bool:
-        """Match the shapes of the file to a scene; again only if it is another one, or vertices were moved.
+        """Match shapes and lamps of the file to a scene; again only if it has others, or vertices were moved.
 
         Returns
         -------
@@ -91,8 +82,8 @@ class BoundTransfer:
         UserError
             As `match_shapes`; or transfer toward a camera in a model that is turned.
         """
-        shapes = list(scene.shapes())
-        same = self._matched is not None and [s.ptr for s in shapes] == [s.ptr for s in self._shapes]
+        objects = [*scene.shapes(), *scene.emitters()]
+        same = self._matched is not None and [one.ptr for one in objects] == [one.ptr for one in self._objects]
         if same and not self._matched.vertices_changed(self._mi):
             return False
         matched = match_shapes(self._mi, scene, self.packed, self.name)
@@ -101,8 +92,8 @@ class BoundTransfer:
             raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
         surfaces = Surfaces(self._mi, matched, self.packed.mesh)
         self._vertex_radiance = VertexRadiance(self._mi, self.packed, turn, self._damping, self._lighting)
-        self._bounced = BouncedLight(self._mi, self.packed.fixed, scene, self._fixed_lights)
-        self._matched, self._surfaces, self._shapes = matched, surfaces, shapes
+        self._bounced = BouncedLight(self._mi, self.packed.fixed, scene, self._fixed_lights, self._lamps)
+        self._matched, self._surfaces, self._objects = matched, surfaces, objects
         return True
 
     def light(self, scene: Any) -> None:
@@ -162,15 +153,16 @@ class BoundTransfer:
                 f"{self.name} does not know the light of {names}: it falls on its shapes, but what they send each "
                 "other of it is missing"
             )
-        if not any(True for _ in scene.emitters()):
+        is_lit = self._lighting is not None and np.any(self._lighting)
+        if not is_lit and not any(True for _ in scene.emitters()):
             texts.append(f"without light the shapes of {self.name} are black")
         return texts + self._albedo_warnings(albedo)
 
     def _albedo_warnings(self, albedo: str) -> list[str]:
-        """Of a file that says nothing of materials, and a scene that does."""
+        """Of a file that says nothing of materials, and a scene that does; in its own scene that was asked for."""
         if not self._mi.is_rgb or albedo == "scene" or not np.all(self.packed.mesh.albedo == 1.0):
             return []
-        if self.packed.toward_view:  # its materials are in it
+        if self.packed.toward_view or self._lamps is not None:  # its materials are in it
             return []
         texts = []
         for shape, part in self._matched.meshes:
@@ -195,8 +187,9 @@ class BoundTransfer:
         return float(reflectance.mean())
 
     def _warn_of_negative(self) -> None:
+        """Once; relighting, which draws pictures of a file's own scene, tells it itself."""
         negative = self._vertex_radiance.negative
-        if negative <= _NEGATIVE or self._warned_of_negative:
+        if negative <= _NEGATIVE or self._warned_of_negative or self._lamps is not None:
             return
         self._warned_of_negative = True
         log_warning(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
-from slepian_prt.relighting.mitsuba.lamps import Lamps
+from slepian_prt.relighting.mitsuba.lamps import Lamps, power_heuristic
 from slepian_prt.relighting.mitsuba.lobes import Lobes, Material
 
 # Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
@@ -23,7 +24,6 @@ class Gatherer:
     Parameters
     ----------
     mi : Mitsuba, in the variant of the scene
-    scene : Mitsuba scene
     cache : RadianceCache
     lobes : Lobes
     lamps : Lamps
@@ -36,7 +36,6 @@ class Gatherer:
     def __init__(
         self,
         mi: Any,
-        scene: Any,
         cache: RadianceCache,
         lobes: Lobes,
         lamps: Lamps,
@@ -45,7 +44,7 @@ class Gatherer:
         max_depth: int,
         rr_depth: int,
     ) -> None:
-        self._mi, self._scene, self._cache, self._lobes, self._lamps = mi, scene, cache, lobes, lamps
+        self._mi, self._cache, self._lobes, self._lamps = mi, cache, lobes, lamps
         self._fixed_lights = fixed_lights
         self._max_depth, self._rr_depth = max_depth if max_depth >= 0 else _ENDLESS, rr_depth
 
@@ -53,11 +52,14 @@ class Gatherer:
         """Bool, whether anything can be gathered from points of these materials."""
         return material.scatters | (material.held & (self._lamps.count > 0))
 
-    def gather(self, sampler: Any, ray: Any, hit: Any, *, hide_emitters: bool, active: Any) -> tuple[Any, Any]:
+    def gather(
+        self, scene: Any, sampler: Any, ray: Any, hit: Any, *, hide_emitters: bool, active: Any
+    ) -> tuple[Any, Any]:
         """What paths bring beyond emission and held light of the first point: UnpolarizedSpectrum, and coverage.
 
         Parameters
         ----------
+        scene : Mitsuba scene
         sampler : Sampler
         ray : Ray3f
         hit : PreliminaryIntersection3f
@@ -78,17 +80,18 @@ class Gatherer:
             mi.UnpolarizedSpectrum(1.0),  # β: throughput
             mi.Float(1.0),  # η: relative index of refraction, all along
             mi.UInt32(0),  # Number of points
-            mi.Bool(active & (not hide_emitters and self._scene.environment() is not None)),  # Is the ray covered?
+            mi.Bool(active & (not hide_emitters and scene.environment() is not None)),  # Is the ray covered?
             dr.zeros(mi.Interaction3f, dr.width(ray)),  # Point before
             mi.Float(1.0),  # Density of the direction that was drawn there
             mi.Bool(True),  # Was it a mirror's?
         )
-        state = dr.while_loop(state, lambda *state: state[1], self._step, label="slepian_prt: gathering")
+        step = partial(self._step, scene)
+        state = dr.while_loop(state, lambda *state: state[1], step, label="slepian_prt: gathering")
         covered = state[8]
         return dr.select(covered, state[4], 0.0), covered
 
     def _step(
-        self, sampler: Any, active: Any, ray: Any, hit: Any, L: Any, β: Any, η: Any, depth: Any,
+        self, scene: Any, sampler: Any, active: Any, ray: Any, hit: Any, L: Any, β: Any, η: Any, depth: Any,
         covered: Any, before: Any, before_pdf: Any, before_delta: Any,
     ) -> tuple[Any, ...]:  # fmt: skip
         import drjit as dr
@@ -99,10 +102,10 @@ class Gatherer:
 
         # ----------------------- Emission --------------------------
 
-        ds = mi.DirectionSample3f(self._scene, si, before)
+        ds = mi.DirectionSample3f(scene, si, before)
         emitter_pdf = lamps.density(before, ds, later & ~before_delta)
         emitted = mi.unpolarized_spectrum(ds.emitter.eval(si, later))
-        L += β * emitted * _power(before_pdf, emitter_pdf)
+        L += β * emitted * power_heuristic(before_pdf, emitter_pdf)
 
         # ---------------- Light that a file holds ------------------
 
@@ -113,10 +116,11 @@ class Gatherer:
 
         # ---------------- Light straight from emitters -------------
 
-        ds, arriving, of_lamp = lamps.sample(si, sampler, material.scatters, active)
-        held, others, pdf = material.evaluate(si.to_local(ds.d), active & (ds.pdf != 0.0))
-        held *= dr.select(of_lamp, self._fixed_lights, 0.0)
-        L += β * arriving * (held + others * dr.select(ds.delta, 1.0, _power(ds.pdf, pdf)))
+        if lamps.count:
+            L += β * self._fixed_lights * lamps.on_held(scene, si, material, sampler, active)
+        ds, arriving = lamps.sample(scene, si, sampler, active & material.scatters)
+        others, pdf = material.evaluate(si.to_local(ds.d), active & (ds.pdf != 0.0))
+        L += β * arriving * others * dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))
 
         # ---------------------- The next point ---------------------
 
@@ -132,14 +136,6 @@ class Gatherer:
         active &= ~roulette | (sampler.next_1d() < likely)
         β = dr.select(roulette, β / likely, β)
         ray = si.spawn_ray(si.to_world(drawn.wo))
-        hit = self._scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+        hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
         delta = mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
         return sampler, active, ray, hit, L, β, η, depth, covered, mi.Interaction3f(si), drawn.pdf, delta
-
-
-def _power(a: Any, b: Any) -> Any:
-    """The power heuristic: weight of a technique of density ``a`` beside one of density ``b`` (Veach 1997, 9.2.4)."""
-    import drjit as dr
-
-    weight = dr.square(a) / (dr.square(a) + dr.square(b))
-    return dr.select(dr.isfinite(weight), weight, 0.0)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +31,14 @@ class HeldFile:
     packed : CompressedTransfer
     lighting : (3, (L+1)²) or None
         Distant light in the world of the file, in place of that of the scene.
+    lamps : mapping of str to Mitsuba emitter, or None
+        The lamps of the scene by the names that the file has for them, where these are known.
     """
 
     name: str
     packed: CompressedTransfer
     lighting: NDArray[np.float64] | None = None
+    lamps: Mapping[str, Any] | None = None
 
 
 @contextmanager

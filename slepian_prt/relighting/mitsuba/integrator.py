@@ -17,6 +17,7 @@ from slepian_prt.relighting.mitsuba.gathering import Gatherer
 from slepian_prt.relighting.mitsuba.held_files import held_file, is_in_memory
 from slepian_prt.relighting.mitsuba.lamps import Lamps
 from slepian_prt.relighting.mitsuba.lobes import LAMBERTIAN, PLAIN, Lobes, material_kind
+from slepian_prt.relighting.mitsuba.recording import without_collection
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
 from slepian_prt.renderer.variants import imported_mitsuba
 
@@ -71,7 +72,7 @@ def _plugin_class(mi: Any) -> Any:
 
         def __init__(self, properties: Any) -> None:
             super().__init__(properties)
-            self.integrator = SlepianIntegrator(mi, properties, self)
+            self.integrator = SlepianIntegrator(mi, properties)
 
         def traverse(self, callback: Any) -> None:
             self.integrator.traverse(callback)
@@ -84,7 +85,8 @@ def _plugin_class(mi: Any) -> Any:
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             try:
-                return self.integrator.sample(scene, sampler, ray, active)
+                with without_collection():
+                    return self.integrator.sample(scene, sampler, ray, active, self.skip_area_emitters)
             except UserError as error:
                 log_warning(mi, str(error))  # `mi.render` raises an error of its own that does not say what is wrong
                 raise
@@ -151,8 +153,10 @@ class SlepianIntegrator:
         </integrator>
     """
 
-    def __init__(self, mi: Any, properties: Any, plugin: Any) -> None:
-        self._mi, self._plugin = mi, plugin
+    # Nothing here may refer to a scene or to the plugin, which Python could not tell to be garbage: a scene holds its
+    # integrator in C++.
+    def __init__(self, mi: Any, properties: Any) -> None:
+        self._mi = mi
         self._hide_emitters = bool(properties.get("hide_emitters", False))
         self._fixed_lights = _not_negative(properties, "fixed_lights", 1.0)
         self._max_depth = _depth(properties, "max_depth", -1, least=-1)
@@ -188,18 +192,21 @@ class SlepianIntegrator:
         for transfer in self._transfers.values():
             transfer.check_albedo()
 
-    def sample(self, scene: Any, sampler: Any, ray: Any, active: Any) -> tuple[Any, Any, list]:
+    def sample(
+        self, scene: Any, sampler: Any, ray: Any, active: Any, skip_emitters: Callable[..., Any]
+    ) -> tuple[Any, Any, list]:
         """Radiance along camera rays: spectrum, whether it is valid, and no AOVs.
 
         L = L_e + a Σ_i w_i Σ_lm e_lm t_lm(x_i), over the three vertices x_i of the triangle that is met, which is
-        differentiated, and what is gathered beyond that, which is not.
+        differentiated, and what is gathered beyond that, which is not. ``skip_emitters`` is the method of the plugin
+        that finds what lies behind shapes that emit.
         """
         import drjit as dr
 
         mi = self._mi
         self._bind(scene)
         active = mi.Bool(active)
-        hit, si = self._first_hit(scene, ray, active)  # What camera rays meet, detached
+        hit, si = self._first_hit(scene, ray, active, skip_emitters)  # What camera rays meet, detached
         L = mi.UnpolarizedSpectrum(0.0)
         covered = active & si.is_valid()
         if not self._hide_emitters and self._max_depth != 0:
@@ -215,7 +222,7 @@ class SlepianIntegrator:
             with dr.suspend_grad():
                 more = self._gatherer.adds_to(material) & met
                 gathered, through = self._gatherer.gather(
-                    sampler, ray, hit, hide_emitters=self._hide_emitters, active=more
+                    scene, sampler, ray, hit, hide_emitters=self._hide_emitters, active=more
                 )
             L, covered = dr.select(more, L + gathered, L), dr.select(more, through, covered)
         return without_polarization(mi, L), covered, []
@@ -225,24 +232,27 @@ class SlepianIntegrator:
         mi = self._mi
         self._bind(scene)
         active = mi.Bool(True)
-        hit, si = self._first_hit(scene, ray, active)
+        hit, si = self._first_hit(scene, ray, active, None)
         met = active & si.is_valid()
         return self._lobes.at(si, self._cache.at(ray, hit, si, met), met).held
 
-    def _first_hit(self, scene: Any, ray: Any, active: Any) -> tuple[Any, Any]:
+    def _first_hit(
+        self, scene: Any, ray: Any, active: Any, skip_emitters: Callable[..., Any] | None
+    ) -> tuple[Any, Any]:
         """What rays meet, as PreliminaryIntersection3f and as SurfaceInteraction3f; not differentiated.
 
-        With ``hide_emitters``, that is what lies behind the shapes that emit light, as ``path`` has it.
+        With ``hide_emitters``, that is what ``skip_emitters`` finds behind the shapes that emit light, as ``path`` has
+        it; None leaves them.
         """
         import drjit as dr
 
         mi = self._mi
         with dr.suspend_grad():
             hit = scene.ray_intersect_preliminary(mi.Ray3f(ray), coherent=True, active=active)
-            if self._hide_emitters:
+            if self._hide_emitters and skip_emitters is not None:
                 hidden = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None)) & active
                 si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-                behind = self._plugin.skip_area_emitters(scene, si.spawn_ray(ray.d), True, hidden)
+                behind = skip_emitters(scene, si.spawn_ray(ray.d), True, hidden)
                 hit = dr.select(hidden, behind, hit)
             return hit, hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.All, active)
 
@@ -260,7 +270,7 @@ class SlepianIntegrator:
         self._gatherer = None
         if self._calls_for_gathering(scene, lamps):
             self._gatherer = Gatherer(
-                mi, scene, self._cache, self._lobes, lamps, fixed_lights=self._fixed_lights,
+                mi, self._cache, self._lobes, lamps, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
         texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]

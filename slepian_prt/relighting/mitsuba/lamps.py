@@ -1,12 +1,21 @@
-"""Light straight from the emitters of a scene, and how bright its lamps are."""
+"""Light straight from the emitters of a scene."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from slepian_prt.relighting.mitsuba.lobes import Material
+
+# Shadow rays for the lamps at a held point, at most; and points on lamps, of one or of several lamps, that one of these
+# is chosen from by what would arrive.
+_RAYS, _CANDIDATES, _OF_SEVERAL = 4, 16, 8
+
+# Additive recurrences: a lamp by the golden ratio, a point on it by the root of x³ = x + 1 (Roberts 2018).
+_STEPS = (0.6180339887498949, 0.7548776662466927, 0.5698402909980532)
+
 
 class Lamps:
-    """The emitters of a scene, to be sampled.
+    """The emitters of a scene, to be sampled; those that are not distant are its lamps.
 
     Parameters
     ----------
@@ -16,25 +25,29 @@ class Lamps:
     Attributes
     ----------
     count : int
-        Of emitters that are not the environment.
+        Of lamps.
     """
 
     def __init__(self, mi: Any, scene: Any) -> None:
-        self._mi, self._scene = mi, scene
-        lamps = [mi.EmitterPtr(emitter) for emitter in scene.emitters() if not emitter.is_environment()]
+        self._mi = mi
+        lamps = [emitter for emitter in scene.emitters() if not emitter.is_environment()]
         self.count, self._all = len(lamps), len(scene.emitters())
-        distant = [mi.EmitterPtr(emitter) for emitter in scene.emitters() if emitter.is_environment()]
-        self._emitters = _joined(mi, [*lamps, *distant])
+        distant = [emitter for emitter in scene.emitters() if emitter.is_environment()]
+        self._emitters = _joined(mi, [mi.EmitterPtr(emitter) for emitter in (*lamps, *distant)])
+        self._has_surfaces = any(emitter.get_shape() is not None for emitter in lamps)
+        self._rays = min(self.count, _RAYS)
+        self._candidates = _CANDIDATES if self.count == 1 else _OF_SEVERAL
+        if self.count <= _RAYS and not self._has_surfaces:
+            self._candidates = 1
 
-    def sample(self, si: Any, sampler: Any, with_distant: Any, active: Any) -> tuple[Any, Any, Any]:
+    def sample(self, scene: Any, si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
         """A direction to one of the emitters, each as likely.
 
         Parameters
         ----------
+        scene : Mitsuba scene
         si : SurfaceInteraction3f
         sampler : Sampler
-        with_distant : Bool
-            Whether the environment may be drawn.
         active : Bool
 
         Returns
@@ -43,30 +56,142 @@ class Lamps:
             Of zero density where nothing arrives.
         UnpolarizedSpectrum
             What arrives, over that density.
-        Bool
-            Whether it comes from a lamp.
         """
         import drjit as dr
 
         mi = self._mi
-        count = dr.select(with_distant, mi.UInt32(self._all), mi.UInt32(self.count))
-        active = active & (count > 0)
-        index = dr.minimum(mi.UInt32(sampler.next_1d() * mi.Float(count)), dr.maximum(count, 1) - 1)
-        emitter = dr.gather(mi.EmitterPtr, self._emitters, index, active)
-        ds, arriving = emitter.sample_direction(si, sampler.next_2d(), active)
-        ds.pdf /= mi.Float(count)
+        active = active & (self._all > 0)
+        ds, arriving = self._toward(si, sampler.next_1d(), sampler.next_2d(), self._all, active)
         seen = active & (ds.pdf != 0.0)
-        seen &= ~self._scene.ray_test(si.spawn_ray_to(ds.p), seen)
+        seen &= ~scene.ray_test(si.spawn_ray_to(ds.p), seen)
         ds.pdf = dr.select(seen, ds.pdf, 0.0)
-        arriving = dr.select(seen, mi.unpolarized_spectrum(arriving) * mi.Float(count), 0.0)
-        return ds, arriving, index < self.count
+        return ds, dr.select(seen, arriving, mi.UnpolarizedSpectrum(0.0))
 
     def density(self, before: Any, ds: Any, active: Any) -> Any:
-        """With which `sample` draws a direction, the environment being among the emitters."""
+        """With which `sample` draws a direction."""
         import drjit as dr
 
         density = ds.emitter.pdf_direction(before, ds, active)
         return dr.select(active, density / max(self._all, 1), 0.0)
+
+    def on_held(self, scene: Any, si: Any, material: Material, sampler: Any, active: Any) -> Any:
+        """What held lobes reflect of the lamps: UnpolarizedSpectrum.
+
+        Where lamps are surfaces, it is looked for toward them and along the cosine, and what both find is weighted by
+        the power heuristic (Veach 1997, Sec. 9.2), so that near ones have little noise.
+
+        Parameters
+        ----------
+        scene : Mitsuba scene
+        si : SurfaceInteraction3f
+        material : Material
+            There.
+        sampler : Sampler
+        active : Bool
+        """
+        light = self._mi.UnpolarizedSpectrum(0.0)
+        if self.count:
+            active = active & material.held
+            light += self._on_held_toward(scene, si, material, sampler, active)
+            if self._has_surfaces:
+                light += self._on_held_along(scene, si, material, sampler, active)
+        return light
+
+    def _on_held_toward(self, scene: Any, si: Any, material: Material, sampler: Any, active: Any) -> Any:
+        """By shadow rays, each to a part of the lamps."""
+        import drjit as dr
+
+        mi = self._mi
+        begin, on_it, choice = sampler.next_1d(), sampler.next_2d(), sampler.next_1d()
+
+        def look(ray: Any, light: Any) -> Any:
+            drawn = [_fraction(value + mi.Float(ray) * _STEPS[0]) for value in (begin, *on_it, choice)]
+            return ray + 1, light + self._one_ray(scene, si, material, ray, drawn, active)
+
+        state = (mi.UInt32(0), mi.UnpolarizedSpectrum(dr.zeros(mi.Float, dr.width(active))))
+        _, light = dr.while_loop(state, lambda ray, _: active & (ray < self._rays), look, label="slepian_prt: lamps")
+        return light / self._rays
+
+    def _one_ray(self, scene: Any, si: Any, material: Material, ray: Any, drawn: list[Any], active: Any) -> Any:
+        """Resampled (Talbot et al. 2005): of M candidates one by w ∝ what it would bring, which counts as Σ w / (M w).
+
+        The candidates are spread evenly over the lamps, so that Σ w has little noise, and only shadows have more.
+        """
+        import drjit as dr
+
+        mi, count = self._mi, self._candidates
+        *begin, choice = drawn
+
+        def look(number: Any, total: Any, choice: Any, place: Any, arriving: Any, chosen: Any) -> Any:
+            steps = zip(begin, _STEPS, strict=True)
+            which, first, second = (_fraction(value + mi.Float(number) * step) for value, step in steps)
+            which = (mi.Float(ray) + which) / self._rays
+            ds, light = self._toward(si, which, mi.Point2f(first, second), self.count, active)
+            cosine = material.reflects_toward(si.to_local(ds.d))
+            light *= dr.select(ds.delta, 1.0, self._share(count * self._rays * ds.pdf, cosine * dr.inv_pi))
+            weight = dr.select(active & (ds.pdf != 0.0), cosine * dr.mean(light), 0.0)
+            weight = dr.select(dr.isfinite(weight) & (weight > 0.0), weight, 0.0)
+            total = total + weight
+            part = weight / total
+            taken = (weight > 0.0) & (choice <= part)
+            choice = dr.select(taken, choice / part, dr.select(part < 1.0, (choice - part) / (1.0 - part), choice))
+            place, arriving = dr.select(taken, ds.p, place), dr.select(taken, light, arriving)
+            return number + 1, total, choice, place, arriving, dr.select(taken, weight, chosen)
+
+        none = dr.zeros(mi.Float, dr.width(active))
+        state = (mi.UInt32(0), none, mi.Float(choice), mi.Point3f(si.p), mi.UnpolarizedSpectrum(none), mi.Float(none))
+        _, total, _, place, arriving, chosen = dr.while_loop(
+            state, lambda number, *_: active & (number < count), look, label="slepian_prt: candidates"
+        )
+        seen = active & (chosen > 0.0)
+        seen &= ~scene.ray_test(si.spawn_ray_to(place), seen)
+        reflected = material.held_from(si.to_local(dr.normalize(place - si.p)), seen) * arriving
+        return dr.select(seen, reflected * (total / (count * chosen)), 0.0)
+
+    def _on_held_along(self, scene: Any, si: Any, material: Material, sampler: Any, active: Any) -> Any:
+        """By a ray that is drawn by the cosine, of the lamp that it meets."""
+        import drjit as dr
+
+        mi = self._mi
+        wo = material.by_cosine(sampler.next_2d())
+        density = material.reflects_toward(wo) * dr.inv_pi
+        ray = si.spawn_ray(si.to_world(wo))
+        hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active & (density > 0.0))
+        shines = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None))
+        there = hit.compute_surface_interaction(ray, mi.RayFlags.All, shines)
+        ds = mi.DirectionSample3f(scene, there, si)
+        of_lamps = ds.emitter.pdf_direction(si, ds, shines) * (self._candidates * self._rays / self.count)
+        light = mi.unpolarized_spectrum(ds.emitter.eval(there, shines)) * self._share(density, of_lamps)
+        return dr.select(shines, material.held_from(wo, shines) * light / density, 0.0)
+
+    def _toward(self, si: Any, which: Any, place: Any, count: int, active: Any) -> tuple[Any, Any]:
+        """A sample of one of the first ``count`` emitters, and what arrives from there, over its density."""
+        import drjit as dr
+
+        mi = self._mi
+        index = dr.minimum(mi.UInt32(which * mi.Float(count)), max(count, 1) - 1)
+        emitter = dr.gather(mi.EmitterPtr, self._emitters, index, active)
+        ds, arriving = emitter.sample_direction(si, place, active)
+        ds.pdf /= max(count, 1)
+        return ds, mi.unpolarized_spectrum(arriving) * count
+
+    def _share(self, own: Any, other: Any) -> Any:
+        """Of what is found in two ways, by their densities, that of the first; 1 where there is but one."""
+        return power_heuristic(own, other) if self._has_surfaces else self._mi.Float(1.0)
+
+
+def _fraction(value: Any) -> Any:
+    import drjit as dr
+
+    return value - dr.floor(value)
+
+
+def power_heuristic(own: Any, other: Any) -> Any:
+    """Weight of a technique of density ``own`` beside one of density ``other`` (Veach 1997, 9.2.4)."""
+    import drjit as dr
+
+    weight = dr.square(own) / (dr.square(own) + dr.square(other))
+    return dr.select(dr.isfinite(weight), weight, 0.0)
 
 
 def _joined(mi: Any, emitters: list[Any]) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,18 +9,18 @@ import numpy as np
 
 from slepian_prt.relighting.mitsuba.cache import Cached
 from slepian_prt.relighting.mitsuba.spectra import srgb_to_spectrum
+from slepian_prt.scene.reflectance.bsdf_parts import all_bsdfs, is_textured
 
 # Kinds of materials: without diffuse reflection; with nothing else (and no texture); with nothing else; with lobes that
 # can be evaluated one by one; with lobes that cannot.
 NOT_DIFFUSE, PLAIN, LAMBERTIAN, SPLIT, WHOLE = range(5)
 
-# Names by which materials, and what they hold, print themselves.
-_LAMBERTIAN = {"SmoothDiffuse", "TwoSided", "brdf"}
+# BSDFs that are nothing but Lambertian, and those whose lobes can be evaluated one by one.
+_LAMBERTIAN = {"SmoothDiffuse", "TwoSidedBRDF"}
 _SPLIT = _LAMBERTIAN | {
     "SmoothPlastic", "RoughPlastic", "SmoothConductor", "RoughConductor", "SmoothDielectric", "ThinDielectric",
-    "RoughDielectric", "Null", "Mask", "BlendBSDF", "nested_bsdf",
+    "RoughDielectric", "Null", "MaskBSDF", "BlendBSDF",
 }  # fmt: skip
-_TEXTURES = {"BitmapTexture", "Checkerboard", "MeshAttribute", "Transform"}
 
 # How often the light of a material that cannot be split is looked for by the cosine alone: where the material itself
 # never looks, what a Lambertian one would reflect must still be taken off.
@@ -34,11 +33,10 @@ def material_kind(mi: Any, bsdf: Any) -> int:
     ``principled``, ``hair`` and measured materials take no notice of what lobe is asked for, and bumps give a lobe
     another shape; so do, for all we know, materials that are not known here.
     """
-    flags, named = mi.BSDFFlags, set(re.findall(r"(\w+)(?:\[\d+\] = \w+)?\[", str(bsdf)))
-    known = {name for name in named if not re.search("Spectrum$", name)} - _TEXTURES
+    flags, kinds = mi.BSDFFlags, {part.class_name() for part in all_bsdfs(mi, bsdf)}
     if not mi.has_flag(bsdf.flags(), flags.DiffuseReflection):
         return NOT_DIFFUSE
-    if "Principled" in str(bsdf) or not known or not known <= _SPLIT:
+    if not kinds <= _SPLIT:
         return WHOLE
     others = (
         flags.Null, flags.DiffuseTransmission, flags.GlossyReflection, flags.GlossyTransmission,
@@ -46,8 +44,7 @@ def material_kind(mi: Any, bsdf: Any) -> int:
     )  # fmt: skip
     if any(mi.has_flag(bsdf.flags(), flag) for flag in others):
         return SPLIT
-    textured = not all(re.search("Spectrum$", name) for name in named - _LAMBERTIAN)
-    return LAMBERTIAN if textured else PLAIN
+    return PLAIN if kinds <= _LAMBERTIAN and not is_textured(mi, bsdf) else LAMBERTIAN
 
 
 class Lobes:
@@ -160,15 +157,35 @@ class Material:
         srgb = dr.select(self._of_file, self._cached.radiance, self._cached.unlit)
         radiance = srgb_to_spectrum(mi, srgb, si.wavelengths, lobes._spectra)
         if lobes._albedo != "file":
-            wo = self._on_this_side(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
+            wo = self.by_cosine(sampler.next_2d())
             separate = self.held & ~self._of_file & ~self._whole
             reflected = mi.unpolarized_spectrum(self._bsdf.eval(lobes._diffuse, si, wo, separate))
             albedo = reflected * (dr.pi / dr.maximum(dr.abs(wo.z), 1e-6))
             radiance *= dr.select(self._of_file, 1.0, dr.select(self._whole, self._lambertian, albedo))
         return dr.select(self.held & ~self._turned_away, radiance, 0.0)
 
-    def evaluate(self, wo: Any, active: Any) -> tuple[Any, Any, Any]:
-        """Value times cosine of the held lobe and of the others, and the density with which `sample` draws them.
+    def reflects_toward(self, wo: Any) -> Any:
+        """Float, the cosine of a direction (Vector3f in the frame of the surface) where the held lobe may reflect."""
+        import drjit as dr
+
+        return dr.select((wo.z * self._si.wi.z > 0.0) | self._toward_view, dr.abs(wo.z), 0.0)
+
+    def held_from(self, wo: Any, active: Any) -> Any:
+        """Value times cosine of the held lobe; arguments as of `evaluate`."""
+        import drjit as dr
+
+        mi, lobes, si, bsdf = self._mi, self._lobes, self._si, self._bsdf
+        active &= self.held
+        cosine = dr.select(wo.z * si.wi.z > 0.0, dr.abs(wo.z), 0.0) * dr.inv_pi
+        whole = mi.unpolarized_spectrum(bsdf.eval(lobes._all, si, wo, active & self._toward_view))
+        diffuse = mi.unpolarized_spectrum(bsdf.eval(lobes._diffuse, si, wo, active & ~self._of_file & ~self._whole))
+        albedo = srgb_to_spectrum(mi, self._cached.albedo, si.wavelengths, lobes._spectra)
+        held = dr.select(self._of_file, albedo * cosine, dr.select(self._whole, self._lambertian * cosine, diffuse))
+        held = dr.select(self._toward_view, whole, held)
+        return dr.select(active & ~self._turned_away, held, 0.0)
+
+    def evaluate(self, wo: Any, active: Any) -> tuple[Any, Any]:
+        """Value times cosine of the lobes that are not held, and the density with which `sample` draws them.
 
         Parameters
         ----------
@@ -179,26 +196,17 @@ class Material:
         import drjit as dr
 
         mi, lobes, si, bsdf = self._mi, self._lobes, self._si, self._bsdf
-        cosine = dr.select(wo.z * si.wi.z > 0.0, dr.abs(wo.z), 0.0) * dr.inv_pi
-        others, pdf = bsdf.eval_pdf(lobes._all, si, wo, active & (self._open | self._whole | self._toward_view))
+        others, pdf = bsdf.eval_pdf(lobes._all, si, wo, active & (self._open | self._whole))
         others = mi.unpolarized_spectrum(others)
-        held = dr.select(self._toward_view, others, 0.0)
-        others = dr.select(self._toward_view, 0.0, others)
-        separate = active & self.held & ~self._of_file & ~self._whole
-        held += mi.unpolarized_spectrum(bsdf.eval(lobes._diffuse, si, wo, separate))
-        albedo = srgb_to_spectrum(mi, self._cached.albedo, si.wavelengths, lobes._spectra)
-        held = dr.select(self._of_file & ~self._toward_view, albedo * cosine, held)
-        held = dr.select(self._turned_away, 0.0, held)
         if WHOLE in lobes.kinds:
-            taken = self._lambertian * cosine
-            held = dr.select(self._whole & ~self._of_file, taken, held)
-            others = dr.select(self._whole, others - taken, others)
+            cosine = dr.select(wo.z * si.wi.z > 0.0, dr.abs(wo.z), 0.0) * dr.inv_pi
+            others = dr.select(self._whole, others - self._lambertian * cosine, others)
             pdf = dr.select(self._whole, dr.lerp(pdf, cosine, _BY_COSINE), pdf)
         if SPLIT in lobes.kinds:
             rest, rest_pdf = bsdf.eval_pdf(lobes._others, si, wo, active & self._split)
             others = dr.select(self._split, mi.unpolarized_spectrum(rest), others)
             pdf = dr.select(self._split, rest_pdf, pdf)
-        return held, others, pdf
+        return others, pdf
 
     def sample(self, sampler: Any) -> tuple[Any, Any]:
         """A direction for the lobes that are not held: BSDFSample3f, and value times cosine over its density."""
@@ -211,11 +219,11 @@ class Material:
         drawn, weight = bsdf.sample(lobes._all, si, spread, point, self._open | (self._whole & ~by_cosine))
         weight = mi.unpolarized_spectrum(weight)
         if WHOLE in lobes.kinds:
-            drawn.wo = dr.select(by_cosine, self._on_this_side(mi.warp.square_to_cosine_hemisphere(point)), drawn.wo)
+            drawn.wo = dr.select(by_cosine, self.by_cosine(point), drawn.wo)
             drawn.eta = dr.select(by_cosine, 1.0, drawn.eta)
             drawn.sampled_type = dr.select(by_cosine, int(mi.BSDFFlags.DiffuseReflection), drawn.sampled_type)
             smooth = self._whole & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta)
-            _, others, pdf = self.evaluate(drawn.wo, smooth)
+            others, pdf = self.evaluate(drawn.wo, smooth)
             drawn.pdf = dr.select(smooth, pdf, drawn.pdf)
             mixed = dr.select(pdf > 0.0, others / pdf, 0.0)
             weight = dr.select(smooth, mixed, dr.select(self._whole, weight / (1.0 - _BY_COSINE), weight))
@@ -225,10 +233,11 @@ class Material:
             weight = dr.select(self._split, mi.unpolarized_spectrum(rest_weight), weight)
         return drawn, dr.select(self.scatters, weight, 0.0)
 
-    def _on_this_side(self, wo: Any) -> Any:
-        """A direction of the upper hemisphere, on the side of the surface that is looked at."""
+    def by_cosine(self, u: Any) -> Any:
+        """A direction on the side of the surface that is looked at, of density cos/π; of ``u`` (Point2f) in [0, 1)."""
         import drjit as dr
 
+        wo = self._mi.warp.square_to_cosine_hemisphere(u)
         return self._mi.Vector3f(wo.x, wo.y, dr.mulsign(wo.z, self._si.wi.z))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
@@ -19,6 +20,7 @@ def scene_integrator(
     packed: CompressedTransfer,
     *,
     lighting: ArrayLike | None = None,
+    lamps: Mapping[str, Any] | None = None,
     albedo: str = "auto",
     fixed_lights: float = 1.0,
     hide_emitters: bool = False,
@@ -32,6 +34,8 @@ def scene_integrator(
     packed : CompressedTransfer
     lighting : (3, (L+1)²), optional
         Distant light in the world of the file that held surfaces are lit by, in place of the scene's own emitter.
+    lamps : mapping of str to Mitsuba emitter, optional
+        The scene's lamps by the names that the file has for them, as of `lamp_places`; by default they are found.
     albedo, fixed_lights, hide_emitters, max_depth
         As of the integrator.
 
@@ -55,6 +59,6 @@ def scene_integrator(
     properties["hide_emitters"] = bool(hide_emitters)
     properties["max_depth"] = int(max_depth)
     name = PurePath(packed.source or packed.mesh.name or "the transfer").name
-    with named_in_memory(HeldFile(name, packed, coefficients)) as key:
+    with named_in_memory(HeldFile(name, packed, coefficients, lamps)) as key:
         properties["transfer"] = key
         return mi.PluginManager.instance().create_object(properties)

@@ -102,6 +102,12 @@ def assemble(
     return MeshFile(tuple(parts), tuple(notes))
 
 
+def single_uv(uv: NDArray) -> NDArray[np.float32]:
+    """Texture coordinates in float32; what that does not hold is infinite, and says of no place in an image."""
+    with np.errstate(over="ignore"):
+        return uv.astype(np.float32)
+
+
 def check_corners(path: Path, polygons: Polygons, count: int) -> None:
     """Raise UserError if polygons name vertices outside of [0, count)."""
     bad = np.flatnonzero((polygons.corners < 0) | (polygons.corners >= count))

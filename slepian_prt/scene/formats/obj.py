@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble, join_split
+from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble, join_split, single_uv
 from slepian_prt.scene.formats.files import find_beside
 from slepian_prt.scene.formats.joining import group, join_equal
 from slepian_prt.scene.formats.mtl import Mapped, read_mtl
@@ -153,7 +153,7 @@ def _map(polygons: Polygons, said: Statements, materials: list[Mapped], notes: l
     uv = np.where(there[:, None], np.append(said.uv, np.zeros((1, 2)), axis=0)[said.corners[:, 1]], 0.0)
     uv = uv * scale + offset
     uv[:, 1] = 1 - uv[:, 1]
-    return replace(polygons, uv=uv.astype(np.float32), materials=numbers)
+    return replace(polygons, uv=single_uv(uv), materials=numbers)
 
 
 def _without_texture(material: Material) -> Material:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble, check_corners, join_split
+from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble, check_corners, join_split, single_uv
 from slepian_prt.scene.formats.colors import decode_srgb
 from slepian_prt.scene.formats.files import find_beside
 from slepian_prt.scene.formats.parts import Material, MeshFile, Texture
@@ -55,7 +55,7 @@ def read_ply(path: Path) -> MeshFile:
     check_corners(path, polygons, len(positions))
     given = next((uv for names in _UV if (uv := _scalars(table, names)) is not None), None)
     if polygons.uv is None and given is not None:
-        polygons = replace(polygons, uv=given.astype(np.float32)[polygons.corners])
+        polygons = replace(polygons, uv=single_uv(given)[polygons.corners])
         if vertices.normals is None:
             vertices, polygons = _join_seams(vertices, polygons)
     if polygons.uv is not None:
@@ -108,7 +108,7 @@ def _polygons(path: Path, tables: dict[str, Table], textures: int, notes: list[s
     wedges, chosen = faces.get("texcoord"), faces.get("texnumber")
     if isinstance(wedges, Lists) and wedges.sizes.any():
         if np.all(wedges.sizes == 2 * corners.sizes):
-            uv = wedges.values.reshape(-1, 2).astype(np.float32)
+            uv = single_uv(wedges.values.reshape(-1, 2))
         else:
             notes.append("texture coordinates of its faces left out, as some faces have not two for each corner")
     if isinstance(chosen, np.ndarray) and textures:

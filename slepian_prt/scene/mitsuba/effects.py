@@ -6,14 +6,11 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED, LeftOut
+from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED, TEXTURE_LOST, LeftOut
 from slepian_prt.scene.reflectance import materials
 from slepian_prt.scene.reflectance.bsdf_parts import PERTURBING, all_bsdfs
 
-# A texture that vertices miss by less than this needs no row.
-_TEXTURE_LOST = 0.05
-
-# Nor do normals that lean less than this, as those of any smooth mesh do.
+# Normals that lean less than this, as those of any smooth mesh do, need no row.
 _LEANING = 0.03
 
 # Materials or shapes that a row names.
@@ -47,6 +44,9 @@ _EFFECTS = {
 }
 # BSDFs that have the flags of those nested in them, and the effect that is their own.
 _WRAPPING = {"TwoSidedBRDF": "", "BlendBSDF": "", "MaskBSDF": "opacity", **PERTURBING}
+
+# BSDFs with a null lobe that are not seen through as holes are.
+_WITHOUT_HOLES = ("ThinDielectric", "Hair")
 
 _TOWARD_VIEW = "transfer toward a camera does not hold it"
 
@@ -178,15 +178,15 @@ def _own_effects(mi: Any, bsdf: Any) -> list[str]:
         "gloss": (flags.GlossyReflection,),
         "mirror": (flags.DeltaReflection,),
         "transmission": (flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission),
-        # Thin glass, too, has what goes straight through it as a hole.
-        "transmission" if kind == "ThinDielectric" else "opacity": (flags.Null,),
+        # Thin glass, too, has what goes straight through it as a hole, and so does hair, which has none.
+        "transmission" if kind in _WITHOUT_HOLES else "opacity": (flags.Null,),
     }
     return [effect for effect, some in wanted.items() if any(mi.has_flag(bsdf.flags(), flag) for flag in some)]
 
 
 def _texture_rows(shapes: Sequence[_Described], verdict: str) -> list[LeftOut]:
     """What vertices miss of textures, as the RMS over the surfaces that miss enough to be told."""
-    some = [shape for shape in shapes if shape.outcome.texture_lost >= _TEXTURE_LOST]
+    some = [shape for shape in shapes if shape.outcome.texture_lost >= TEXTURE_LOST]
     if not some:
         return []
     area = max(sum(shape.area for shape in some), 1e-300)

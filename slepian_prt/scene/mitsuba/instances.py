@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
 from slepian_prt.scene.mitsuba.shapes import ReceivingShape
 from slepian_prt.scene.mitsuba.triangles import mesh_of
@@ -61,7 +62,11 @@ class InstancedGroup(NamedTuple):
 
     def member_name(self, index: int) -> str:
         """What a shape of the group is called."""
-        return self.shapes[index].id() or f"shape_{index}"
+        return shape_name(self.shapes[index], index)
+
+    def names(self) -> list[str]:
+        """What its shapes are called in the scene."""
+        return [f"{self.name}/{self.member_name(index)}" for index in range(len(self.shapes))]
 
 
 def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
@@ -72,11 +77,7 @@ def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
     UserError
         An instance whose transform cannot be used, or of a group without shapes, which Mitsuba cannot trace.
     """
-    groups = {
-        group.id(): InstancedGroup(group.id(), list(shapes_in(mi, group)), [])
-        for group in _objects_in(mi, loaded)
-        if group.class_name().startswith("ShapeGroup")
-    }
+    groups = {group.id(): InstancedGroup(group.id(), list(shapes_in(mi, group)), []) for group in groups_in(mi, loaded)}
     instances = [shape for shape in loaded.shapes() if shape.class_name() == "Instance"]
     for number, shape in enumerate(instances):
         name = shape.id() or f"instance_{number}"
@@ -95,6 +96,11 @@ def instanced_groups(mi: Any, loaded: Any, path: str) -> list[InstancedGroup]:
     return [group for group in groups.values() if group.instances]
 
 
+def groups_in(mi: Any, loaded: Any) -> list[Any]:
+    """The groups of shapes of a Mitsuba scene; without them its instances cannot be put into another."""
+    return [thing for thing in _objects_in(mi, loaded) if thing.class_name().startswith("ShapeGroup")]
+
+
 def shapes_in(mi: Any, group: Any) -> list[Any]:
     """The shapes of a Mitsuba group, in its own space."""
     return [child for child in _objects_in(mi, group) if isinstance(child, mi.Shape)]
@@ -111,6 +117,11 @@ def _objects_in(mi: Any, parent: Any) -> list[Any]:
 
     parent.traverse(Collector())
     return found
+
+
+def copy_name(name: str, instance: Instance) -> str:
+    """What the copy of a shape is called that an instance places; the shape as `InstancedGroup.names` has it."""
+    return f"{instance.name}/{name.rsplit('/', 1)[-1]}"
 
 
 def placed(mi: Any, receiving: ReceivingShape, instance: Instance, name: str) -> ReceivingShape:

@@ -56,20 +56,21 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
     traced = (*(shape.shape for shape in shapes.receiving), *shapes.occluders)
     geometry = traced_scene(mi, traced, shapes.groups)
     two_sided = np.array([materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving])
-    backs: list[NDArray[np.float32] | None] = [None] * len(shapes.receiving)
+    backs: list[materials.VertexReflectance | None] = [None] * len(shapes.receiving)
     if view is None:  # toward a camera, fronts alone are simulated
         open_backs = open_behind(mi, geometry, shapes.receiving, two_sided, eyes_of(mi, loaded))
-        backs = _albedo_behind(mi, shapes.receiving, open_backs, str(path))
+        backs = _reflectance_behind(mi, shapes.receiving, open_backs, str(path))
     meshes = [
-        shape.mesh if behind is None else with_back(shape.mesh, behind)
+        shape.mesh if behind is None else with_back(shape.mesh, behind.albedo)
         for shape, behind in zip(shapes.receiving, backs, strict=True)
     ]
     sides = [1 if behind is None else 2 for behind in backs]
+    lost = [None if behind is None else behind.lost for behind in backs]
     ends = np.cumsum([len(mesh.positions) for mesh in meshes])
     offsets = [0, *ends[:-1].tolist()]
     face_counts = np.array([len(shape.triangles.faces) for shape in shapes.receiving])
     faces = [shape.triangles.faces + offset for shape, offset in zip(shapes.receiving, offsets, strict=True)]
-    left_out = effects_left_out(mi, shapes.outcomes_with(sides, two_sided), view=view is not None)
+    left_out = effects_left_out(mi, shapes.outcomes_with(lost, two_sided), view=view is not None)
     scene = Scene(
         mi=mi,
         path=str(path),
@@ -97,12 +98,12 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
     return scene
 
 
-def _albedo_behind(
+def _reflectance_behind(
     mi: Any, receiving: Sequence[ReceivingShape], open_backs: NDArray[np.bool_], path: str
-) -> list[NDArray[np.float32] | None]:
-    """(V, 3) what the back of each shape reflects, for those whose back is open."""
-    known: dict[int, NDArray[np.float32]] = {}
-    result: list[NDArray[np.float32] | None] = []
+) -> list[materials.VertexReflectance | None]:
+    """What the back of each shape reflects, for those whose back is open."""
+    known: dict[int, materials.VertexReflectance] = {}
+    result: list[materials.VertexReflectance | None] = []
     for shape, is_open in zip(receiving, open_backs, strict=True):
         if not is_open:
             result.append(None)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slepian_prt.scene.mesh import Mesh, check_geometry, make_mesh
-from slepian_prt.scene.mitsuba.parametric import PARAMETRIC, cut_cube, parametric
+from slepian_prt.scene.mitsuba.parametric import PARAMETRIC, cut_cube, fewest_cuts, parametric
 from slepian_prt.scene.mitsuba.triangles import Triangles, along_normals, faceted, mesh_of, triangles_of
 from slepian_prt.scene.normals import face_areas
-from slepian_prt.scene.reflectance.materials import diffuse_reflectance, vertex_reflectance
+from slepian_prt.scene.reflectance.materials import VertexReflectance, vertex_reflectance
 
 
 @dataclass(frozen=True)
@@ -96,18 +96,31 @@ def receiving_shape(mi: Any, shape: Any, name: str, origin: str, triangles: Tria
     return ReceivingShape(traced, replace(mesh, albedo=albedo, known_albedo=False), triangles, lost, shape.is_emitter())
 
 
-def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> NDArray[np.float32]:
-    """(V, 3) albedo of the back of a shape whose material reflects on both sides.
+def reflectance_behind(mi: Any, receiving: ReceivingShape, origin: str) -> VertexReflectance:
+    """What the back of a shape reflects whose material reflects on both sides.
 
     Raises
     ------
     UserError
-        As of `diffuse_reflectance`.
+        As of `vertex_reflectance`.
     """
     triangles = receiving.triangles
-    return diffuse_reflectance(
+    return vertex_reflectance(
         mi, receiving.shape, triangles.positions, receiving.mesh.normals, triangles.faces, origin, side=-1
     )
+
+
+def without_emission(mi: Any, shape: Any, diagonal: float) -> Any:
+    """The surface of a shape that shines as a mesh that does not; of the whole scene's ``diagonal``.
+
+    What has neither vertices nor a formula is returned as it is.
+    """
+    name = shape.id() or "lamp"
+    triangles = shape_triangles(mi, shape, name, diagonal, fewest_cuts(1))
+    if triangles is None:
+        return shape
+    mesh = make_mesh(triangles.positions, triangles.faces, normals=triangles.normals, name=name, origin=name)
+    return mesh_of(mi, shape.bsdf(), name, triangles, mesh.normals)
 
 
 def mitsuba_mesh(mi: Any, mesh: Mesh) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.mitsuba.edge_lengths import EdgeLengths, Things, boxes_of, lengths_alone
 from slepian_prt.scene.mitsuba.effects import ShapeOutcome
 from slepian_prt.scene.mitsuba.instances import (
@@ -17,6 +19,7 @@ from slepian_prt.scene.mitsuba.instances import (
     Instance,
     InstancedGroup,
     casting_shadows,
+    copy_name,
     instanced_groups,
     placed,
 )
@@ -59,13 +62,27 @@ class SortedShapes(NamedTuple):
     of_outcome: list[int]
     coarseness: float
 
-    def outcomes_with(self, sides: Sequence[int], two_sided: NDArray[np.bool_]) -> list[ShapeOutcome]:
-        """The outcomes, after it is known which receiving shapes are lit on both sides."""
-        result = list(self.outcomes)
-        for number, count, both in zip(self.of_outcome, sides, two_sided, strict=True):
-            reason = "it is closed: nobody sees its back" if both and count == 1 else ""
-            if count >= result[number].sides:  # instances of one shape may differ
-                result[number] = result[number]._replace(sides=count, reason=reason)
+    def outcomes_with(self, lost_behind: Sequence[float | None], two_sided: NDArray[np.bool_]) -> list[ShapeOutcome]:
+        """The outcomes, after it is known which receiving shapes are lit on both sides.
+
+        Parameters
+        ----------
+        lost_behind : sequence of float or None
+            What the vertices of each receiving shape lose of textures on its back; None where that is not lit.
+        two_sided : bool array
+            Whether its material reflects there.
+        """
+        result, told = list(self.outcomes), [False] * len(self.outcomes)
+        for number, lost, both in zip(self.of_outcome, lost_behind, two_sided, strict=True):
+            if told[number]:  # instances of one shape may differ: one that is lit on both sides counts
+                continue
+            outcome, told[number] = self.outcomes[number], lost is not None
+            if lost is not None:
+                over_both = math.hypot(outcome.texture_lost, lost) / math.sqrt(2.0)
+                result[number] = outcome._replace(sides=2, texture_lost=over_both)
+            else:
+                reason = "it is closed: nobody sees its back" if both else ""
+                result[number] = outcome._replace(sides=1, reason=reason)
         return result
 
 
@@ -136,7 +153,7 @@ class _Sorter:
     def sort(self) -> SortedShapes:
         for index, shape in enumerate(self._loaded.shapes()):
             if shape.class_name() != "Instance":
-                self._take_alone(shape, shape.id() or f"shape_{index}")
+                self._take_alone(shape, shape_name(shape, index))
         left = MOST_VERTICES, MOST_COPIES
         for group in sorted(self._instanced, key=lambda group: sum(_size(shape) for shape in group.shapes)):
             left = self._take_group(group, *left)
@@ -177,10 +194,15 @@ class _Sorter:
     def _take_group(self, group: InstancedGroup, vertices: int, copies: int) -> tuple[int, int]:
         """Take the shapes of a group; returns how many vertices and copies others may have."""
         stretch = max(instance.stretch for instance in group.instances)
-        names = [f"{group.name}/{group.member_name(index)}" for index in range(len(group.shapes))]
+        names = group.names()
         found = [self._triangles(shape, name, stretch) for shape, name in zip(group.shapes, names, strict=True)]
         times = len(group.instances)
-        each = sum(len(triangles.positions) for triangles, _ in found if triangles is not None)
+        # Backs have vertices of their own, where they are open: that is not known yet.
+        each = sum(
+            (2 if materials.reflects_on_both_sides(self._mi, shape.bsdf()) else 1) * len(triangles.positions)
+            for shape, (triangles, _) in zip(group.shapes, found, strict=True)
+            if triangles is not None
+        )
         wanted = times * each, times * sum(triangles is not None for triangles, _ in found)
         fits = wanted[0] <= vertices and wanted[1] <= copies
         casting = []
@@ -217,8 +239,7 @@ class _Sorter:
         receiving = receiving_shape(mi, candidate.shape, name, f"{self._path}: shape '{name}'", triangles)
         made = [receiving]
         if candidate.instances is not None:
-            member = name.rsplit("/", 1)[-1]
-            made = [placed(mi, receiving, instance, f"{instance.name}/{member}") for instance in candidate.instances]
+            made = [placed(mi, receiving, instance, copy_name(name, instance)) for instance in candidate.instances]
         area = sum(float(face_areas(shape.mesh.positions, shape.mesh.faces).sum()) for shape in made)
         result.outcomes[candidate.outcome] = result.outcomes[candidate.outcome]._replace(
             area=area,

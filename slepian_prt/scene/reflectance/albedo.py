@@ -10,6 +10,7 @@ import logging
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +18,10 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.parts import Material, MeshPart, Texture
-from slepian_prt.scene.left_out import LeftOut
+from slepian_prt.scene.left_out import GATHERED, TEXTURE_LOST, LeftOut
 from slepian_prt.scene.normals import face_areas
 from slepian_prt.scene.reflectance.barycentric import points_on
-from slepian_prt.scene.reflectance.textures import FilteredTexture, image_size
+from slepian_prt.scene.reflectance.textures import FilteredTexture, image_size, usable_uv
 
 log = logging.getLogger(__name__)
 
@@ -34,9 +35,6 @@ _FINEST_FACES = 0.1
 
 # Metal below this part of a material is not worth a remark.
 _METALLIC = 0.01
-
-# Texture coordinates beyond this are rubbish, and float32 has no fractions there.
-_LARGEST_UV = 2.0**24
 
 # What is decoded, by the identity of the texture and whether it is sRGB; None for what cannot be used.
 Textures = dict[tuple[int, bool], FilteredTexture | None]
@@ -101,8 +99,7 @@ def _metal_use(part: MeshPart) -> _Use | None:
 def _use(texture: Texture | None, uv: NDArray | None, is_srgb: bool) -> _Use | None:
     if texture is None or uv is None:
         return None
-    known = np.nan_to_num(np.asarray(uv, dtype=np.float64))
-    return _Use(texture, np.clip(known, -_LARGEST_UV, _LARGEST_UV), is_srgb)
+    return _Use(texture, usable_uv(uv), is_srgb)
 
 
 def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float32], float]:
@@ -111,23 +108,15 @@ def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float3
     ``textures`` are those of `decode_textures`.
     """
     count, material = len(part.positions), part.material or Material("")
-    area = face_areas(part.positions, part.faces)
-    color, metal = (_lookup(use, textures) for use in (_color_use(part), _metal_use(part)))
-    factor = 0.0 if material.metallic_texture is not None and metal is None else material.metallic
-    if color is None and metal is None:
-        albedo, metallic = np.broadcast_to(np.array(material.color) * (1.0 - factor), (count, 3)), factor
+    area, looks = face_areas(part.positions, part.faces), _looks(part, textures)
+    if not looks:
+        albedo = np.broadcast_to(np.array(material.color) * (1.0 - material.metallic), (count, 3))
+        metallic = material.metallic
     else:
         total, weights, metallic = np.zeros((count, 3)), np.zeros(count), 0.0
-        points = points_on(len(part.faces), _LOOKUPS)
-        for barycentric in points:
-            value = np.broadcast_to(material.color, (len(part.faces), 3))
-            share = np.full(len(part.faces), factor)
-            if color is not None:
-                value = value * color(barycentric)
-            if metal is not None:
-                share = share * metal(barycentric)[:, 2]
-            metallic += float(share @ area) / max(len(points) * float(area.sum()), 1e-300)
-            value = value * (1.0 - share)[:, None]
+        for barycentric, look in looks:
+            value, share = look()
+            metallic += float(share @ area) / max(len(looks) * float(area.sum()), 1e-300)
             for k in range(3):
                 weight = area * barycentric[k]
                 weights += np.bincount(part.faces[:, k], weight, minlength=count)
@@ -140,6 +129,45 @@ def vertex_albedo(part: MeshPart, textures: Textures) -> tuple[NDArray[np.float3
     return np.clip(albedo, 0.0, 1.0).astype(np.float32), metallic
 
 
+def texture_lost(part: MeshPart, textures: Textures, albedo: NDArray) -> float:
+    """Relative RMS over the faces by which what is interpolated from vertices (V, 3) is off from a textured albedo."""
+    area, squared, power = face_areas(part.positions, part.faces), 0.0, 0.0
+    for barycentric, look in _looks(part, textures):
+        value, _ = look()
+        if part.colors is not None:
+            value = value * np.einsum("fkc,k->fc", part.colors[part.faces], barycentric)
+        between = np.einsum("fkc,k->fc", albedo[part.faces], barycentric)
+        squared += float(area @ np.square(value - between).sum(axis=1))
+        power += float(area @ np.square(value).sum(axis=1))
+    return math.sqrt(squared / max(power, 1e-300))
+
+
+_Look = Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+def _looks(part: MeshPart, textures: Textures) -> list[tuple[NDArray[np.float64], _Look]]:
+    """Points of each face, (3,) barycentric, and what is found there; none of a part without textures.
+
+    That are (F, 3) diffuse reflectances, without the colours of vertices, and (F,) metallic parts.
+    """
+    material = part.material or Material("")
+    color, metal = (_lookup(use, textures) for use in (_color_use(part), _metal_use(part)))
+    factor = 0.0 if material.metallic_texture is not None and metal is None else material.metallic
+    if color is None and metal is None and factor == material.metallic:
+        return []
+
+    def look(barycentric: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        value = np.broadcast_to(material.color, (len(part.faces), 3))
+        share = np.full(len(part.faces), factor)
+        if color is not None:
+            value = value * color(barycentric)
+        if metal is not None:
+            share = share * metal(barycentric)[:, 2]
+        return value * (1.0 - share)[:, None], share
+
+    return [(barycentric, partial(look, barycentric)) for barycentric in points_on(len(part.faces), _LOOKUPS)]
+
+
 def _lookup(use: _Use | None, textures: Textures) -> Callable[[NDArray], NDArray[np.float32]] | None:
     """A function that gives (F, 3) means of a texture over the pieces of the faces about a point of them."""
     texture = None if use is None else textures.get(use.key)
@@ -149,8 +177,10 @@ def _lookup(use: _Use | None, textures: Textures) -> Callable[[NDArray], NDArray
     return lambda barycentric: texture.mean(np.einsum("fkc,k->fc", use.uv, barycentric), areas)
 
 
-def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tuple[LeftOut, ...]:
-    """What of the materials of a mesh file is not simulated."""
+def effects_left_out(
+    parts: Sequence[MeshPart], metallic: Sequence[float], lost: Sequence[float] | None = None
+) -> tuple[LeftOut, ...]:
+    """What of the materials of a mesh file vertices do not hold; ``lost`` is as of `texture_lost`, for each part."""
     areas = np.array([face_areas(part.positions, part.faces).sum() for part in parts])
     whole = max(float(areas.sum()), 1e-300)
     named: defaultdict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
@@ -164,6 +194,16 @@ def effects_left_out(parts: Sequence[MeshPart], metallic: Sequence[float]) -> tu
         name = f"metallic reflection of {_listed(dict.fromkeys(metals))}" if metals else "metallic reflection"
         reason = "metals have no diffuse part and stay dark; `albedo` lights the whole model as if it were diffuse"
         rows.insert(0, LeftOut(name, share, reason))
+    coarse = np.array([0.0] * len(parts) if lost is None else lost)
+    coarse = np.where(coarse >= TEXTURE_LOST, coarse, 0.0)
+    if coarse.any():
+        names = dict.fromkeys(part.material.name for part, x in zip(parts, coarse, strict=True) if x and part.material)
+        missing = math.sqrt(float(areas @ coarse**2) / float(areas[coarse > 0.0].sum()))
+        reason = (
+            "relative RMS by which albedo differs from what vertices hold, for .npz and for light between surfaces; "
+            "pictures take the texture at each pixel"
+        )
+        rows.append(LeftOut(f"texture between vertices of {_listed(names)}", missing, reason, GATHERED))
     return tuple(rows)
 
 

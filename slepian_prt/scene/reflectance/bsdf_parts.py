@@ -59,8 +59,9 @@ def is_textured(mi: Any, bsdf: Any) -> bool:
     if any(isinstance(part, mi.BSDF) and is_textured(mi, part) for part in parts.values()):
         return True
     textures = () if bsdf.class_name() in PERTURBING else parts.values()
-    return any(
-        part.is_spatially_varying() or part.class_name() not in _CONSTANT
-        for part in textures
-        if isinstance(part, mi.Texture)
-    )
+    return any(varies(part) for part in textures if isinstance(part, mi.Texture))
+
+
+def varies(texture: Any) -> bool:
+    """Whether a texture may not be the same everywhere."""
+    return bool(texture.is_spatially_varying()) or texture.class_name() not in _CONSTANT

@@ -17,7 +17,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.parts import Material, MeshFile, MeshPart, Texture
 from slepian_prt.scene.mesh import Mesh, check_faces, degenerate_faces
 from slepian_prt.scene.mesh_files import MESH_SUFFIXES, file_albedo, read_parts
-from slepian_prt.scene.reflectance.textures import image_size
+from slepian_prt.scene.reflectance.textures import image_size, usable_uv
 
 log = logging.getLogger(__name__)
 
@@ -141,8 +141,8 @@ def _piece(part: MeshPart, numbers: dict[int, int]) -> tuple[NDArray, ...]:
     """The arrays of `SurfaceDetail` for one part."""
     count, material = len(part.faces), part.material or Material("")
     nowhere = np.zeros((count, 3, 2), dtype=np.float32)
-    uv = nowhere if part.uv is None else np.nan_to_num(part.uv.astype(np.float32))
-    metallic_uv = uv if part.metallic_uv is None else np.nan_to_num(part.metallic_uv.astype(np.float32))
+    uv = nowhere if part.uv is None else usable_uv(part.uv).astype(np.float32)
+    metallic_uv = uv if part.metallic_uv is None else usable_uv(part.metallic_uv).astype(np.float32)
     has_uv = part.uv is not None
     choice = numbers.get(id(material.texture), -1) if has_uv and material.texture is not None else -1
     metal = numbers.get(id(material.metallic_texture), -1) if has_uv and material.metallic_texture is not None else -1

@@ -24,6 +24,9 @@ _LINEAR = _CODES.astype(np.float32)
 # Formats that any reader of meshes knows, by Pillow's names, with their suffixes.
 _WIDELY_READ = {"PNG": ".png", "JPEG": ".jpg"}
 
+# Texture coordinates beyond this are rubbish, and float32 has no fractions there.
+_LARGEST_UV = 2.0**24
+
 # Texels that are decoded from 8 bits at a time.
 _TEXELS = 1 << 22
 
@@ -86,6 +89,11 @@ class FilteredTexture:
         top = (1.0 - u) * level[rows[0], columns[0]] + u * level[rows[0], columns[1]]
         bottom = (1.0 - u) * level[rows[1], columns[0]] + u * level[rows[1], columns[1]]
         return np.asarray((1.0 - v) * top + v * bottom)
+
+
+def usable_uv(uv: NDArray) -> NDArray[np.float64]:
+    """Texture coordinates as they are, but for those that are not finite or too large to say where in an image."""
+    return np.asarray(np.clip(np.nan_to_num(np.asarray(uv, dtype=np.float64)), -_LARGEST_UV, _LARGEST_UV))
 
 
 def decode_texture(texture: Texture, *, is_srgb: bool, finest: int = 0) -> NDArray[np.float32]:

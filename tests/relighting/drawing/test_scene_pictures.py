@@ -9,16 +9,19 @@ from PIL import Image
 import slepian_prt as sp
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.environment import make_environment
+from slepian_prt.lighting.emitters import environment_emitter
+from slepian_prt.lighting.environment import about_up, make_environment
 from slepian_prt.lighting.projection import project_environment
+from slepian_prt.relighting.drawing import scene_pictures
 from slepian_prt.relighting.drawing.camera import relit_camera
-from slepian_prt.relighting.drawing.drawings import Lit, Taking, locate_source, open_drawing
+from slepian_prt.relighting.drawing.drawings import Lit, Taking, open_drawing
 from slepian_prt.relighting.drawing.render import render_picture
-from slepian_prt.relighting.drawing.scene_pictures import environment_of, scale_lamps
+from slepian_prt.relighting.drawing.scene_pictures import environment_of, scene_camera
 from slepian_prt.relighting.drawing.shots import SceneDrawing, VertexDrawing
 from slepian_prt.relighting.relight import relight
+from slepian_prt.relighting.source import locate_source
 from slepian_prt.renderer.variants import mitsuba
-from slepian_prt.scene.view import Aim
+from slepian_prt.scene.view import Aim, View
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import precompute
 from tests.numerics import assert_exact
@@ -33,6 +36,7 @@ MIRROR = (
     '<shape type="rectangle" id="mirror"><transform name="to_world"><scale value="3"/><rotate y="1" angle="90"/>'
     '<translate x="-2"/></transform><bsdf type="conductor"/></shape>'
 )
+EPSILON = np.finfo(np.float32).eps
 EYE, MIRRORED = (2.0, 0.0, -1.0), (-6.0, 0.0, -1.0)
 
 
@@ -70,6 +74,18 @@ def test_a_mirror_shows_what_its_mirrored_eye_sees(ball, tmp_path):
     assert np.mean(np.abs(metal - 1.0) > 0.02) < 0.03
 
 
+def test_transfer_that_is_not_compressed_is_gathered_too(tmp_path):
+    """As from a file that holds all of it."""
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
+    transfer = precompute(write_scene(tmp_path / "ball.xml", BALL), 2, 64)
+    sky = make_environment(gradient_sky())
+    asked = {"width": 16, "look_at": (EYE, (-4.0, 0.0, 1.0)), "scene": room, "spp": 1, "scene_linear": True}
+    kept = compress(transfer, "none", coding="float32")
+    found, expected = (render_picture(one, sky, **asked) for one in (transfer, kept))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * expected.max())
+    assert_exact(found[..., 3], np.ones_like(found[..., 3]), "the mirror fills the picture")
+
+
 def test_under_the_same_light_from_everywhere_all_is_as_bright(ball, white, tmp_path):
     far = BALL.replace('x="0"', 'x="40"').replace("ball", "other").replace("diffuse", "conductor")
     far = far.replace('<rgb name="reflectance" value="1"/>', "")
@@ -94,6 +110,17 @@ def test_coverage_is_that_of_the_shapes(ball, white, tmp_path):
     assert abs(pixels[..., 3].sum() / alpha.sum() - 1.0) < 0.01
     assert_exact(pixels[24, 24, 3], np.float32(1.0), "all rays meet it")
     assert_exact(pixels[0, 0], np.zeros(4, np.float32), "none does")
+
+
+def test_pictures_are_as_large_as_the_film_of_the_scenes_camera(white, tmp_path):
+    camera = (
+        '<sensor type="perspective"><transform name="to_world"><lookat origin="0, 0, -4" target="0, 0, 1" '
+        'up="0, 1, 0"/></transform><film type="hdrfilm"><integer name="width" value="24"/><integer name="height" '
+        'value="16"/></film></sensor>'
+    )
+    packed = packed_scene(write_scene(tmp_path / "room.xml", BALL, MIRROR, camera))
+    assert render_picture(packed, white, scene_linear=True, spp=1).shape == (16, 24, 4)
+    assert render_picture(packed, white, width=48, scene_linear=True, spp=1).shape == (32, 48, 4)
 
 
 def texture_file(folder) -> np.ndarray:
@@ -155,8 +182,9 @@ def test_a_scene_that_changed_is_told(ball, tmp_path):
 def test_scenes_that_cannot_be_had(ball, tmp_path):
     with pytest.raises(UserError, match="no such file; check the path of `scene`"):
         render_picture(ball, np.zeros((3, 9)), width=16, scene=tmp_path / "no.xml")
-    with pytest.raises(UserError, match="spp must be between 1 and"):
-        render_picture(ball, np.zeros((3, 9)), width=16, spp=0)
+    for wrong in (0, 65537, 2.5, "a", True):
+        with pytest.raises(UserError, match=r"^spp must be an integer in \[1, 65536\], not "):
+            render_picture(ball, np.zeros((3, 9)), width=16, spp=wrong)
     (tmp_path / "broken.xml").write_text("<scene")
     told = []
     with mitsuba() as mi:
@@ -202,17 +230,104 @@ def test_what_is_not_found_is_missed_in_one_line(ball):
 
 
 def test_several_lights_are_drawn_once(ball, white, tmp_path):
-    room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
+    """And what of the scene they lack is told once: here the bounces of a lamp that is new."""
+    unknown = '<emitter type="spot" id="lamp"><rgb name="intensity" value="0, 0, 1e-9"/></emitter>'
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR, unknown)
     lighting = np.stack([project_environment(white, 2), 3.0 * project_environment(white, 2)])
     lit = Lit(lighting, relight(ball, lighting))
     look = Aim((EYE, (-4.0, 0.0, 1.0)))
+    told = []
     with mitsuba() as mi:
-        drawing = open_drawing(mi, ball, lit, Taking(16, look, room, 4))
+        drawing = open_drawing(mi, ball, lit, Taking(16, look, room, 4), report=told.append)
         assert isinstance(drawing, SceneDrawing)
         first, second = drawing.picture(0), drawing.picture(1)
         again = drawing.picture(0)
     np.testing.assert_allclose(second.radiance, 3.0 * first.radiance, rtol=1e-4)
     assert_exact(again.radiance, first.radiance, "kept")
+    assert told == [
+        "ball.xml does not know the light of lamp: it falls on its shapes, but what they send each other of it is "
+        "missing"
+    ]
+
+
+def test_without_a_width_a_picture_is_as_wide_as_the_film(ball, tmp_path):
+    """As of one that is drawn from the file alone; 800 pixels where the scene has no camera."""
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR)
+    filmed = replace(ball, view=View("cam", np.eye(4).tolist(), 40.0, 24, 16, 0.1, 10.0))
+    lit = Lit(np.zeros((1, 3, 9)), np.zeros((1, len(ball.mesh.positions), 3), np.float32))
+    with mitsuba() as mi:
+        drawing = open_drawing(mi, filmed, lit, Taking(scene=room, spp=1))
+        assert isinstance(drawing, SceneDrawing)
+        assert drawing.picture(0).alpha.shape == (16, 24)
+        loaded = mi.load_file(str(room), optimize=False)
+        assert scene_camera(mi, filmed, loaded, np.zeros(3), 48, Aim()).directions.shape[:2] == (32, 48)
+        assert scene_camera(mi, ball, loaded, np.zeros(3), None, Aim()).directions.shape[1] == 800
+
+
+def test_the_own_sky_of_a_scene_turns(ball, tmp_path):
+    """What mirrors show of it stands where the coefficients have it, and is the sky itself where it was not turned."""
+    sky = '<emitter type="sunsky"><vector name="sun_direction" x="0.5" y="0.6" z="0.6"/></emitter>'
+    room = write_scene(tmp_path / "room.xml", BALL, MIRROR, sky)
+    turns = [about_up(degrees) for degrees in (0.0, 90.0)]
+    lit = Lit(np.zeros((2, 3, 9)), np.zeros((2, len(ball.mesh.positions), 3), np.float32), own_turns=turns)
+    with mitsuba() as mi:
+        unturned, turned = open_drawing(mi, ball, lit, Taking(16, scene=room, spp=1)).lights
+        assert unturned.environment.emitter is not None
+        assert environment_emitter(mi, turned.environment)["type"] == "envmap"
+    expected = project_environment(unturned.environment, 2, rotate=90.0)
+    found = project_environment(turned.environment, 2)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+class Film:
+    """A camera of so many pixels, of which nothing else is wanted."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self._size = (columns, rows)
+
+    def film(self):
+        return self
+
+    def size(self):
+        return self._size
+
+
+@pytest.mark.parametrize("samples", [None, 20])
+def test_rare_bright_paths_are_not_lost(samples, monkeypatch):
+    """Where one sample of 400 is 40 brighter, the mean is 1.1, also where a pilot says how many samples are taken."""
+    rng, spread, (columns, rows) = np.random.default_rng(0), 40.0 * np.sqrt(1 / 400), (96, 64)
+
+    def trace(_mi, _scene, _integrator, _view, pixels, numbers):
+        rare = (rng.random((len(pixels), len(numbers))) < 1 / 400).mean(axis=1)
+        return np.repeat(1.0 + 40.0 * rare[:, None], 4, axis=1)
+
+    monkeypatch.setattr(scene_pictures, "_trace", trace)
+    mean = float(scene_pictures._gather(None, None, None, Film(columns, rows), samples).radiance.mean())
+    # Four standard deviations of a mean of at least 16 samples of each pixel.
+    assert abs(mean - 1.1) < 4.0 * spread / np.sqrt(16 * rows * columns)
+
+
+def test_noise_of_a_tile_is_that_of_those_around_it():
+    """Batches of 1 ± d have variance 4 d²/3, samples four times that, and 1/0.02² of it are wanted."""
+    pilot = np.ones((4, 40 * 40, 3))
+    noisy = np.zeros((40, 40), dtype=bool)
+    noisy[16:24, 16:24] = True
+    pilot[:, noisy.ravel()] += 0.06 * np.array([1.0, -1.0, 1.0, -1.0])[:, None, None]
+    wanted = scene_pictures._samples_wanted(pilot, 40, 40).reshape(40, 40)
+    expected = np.full((40, 40), 16)
+    expected[8:32, 8:32] = 48
+    assert_exact(wanted, expected, "whole numbers")
+    assert scene_pictures._samples_wanted(100.0 * (pilot - 0.9), 40, 40).max() == 128
+
+
+def test_any_number_of_samples_can_be_drawn():
+    """The last of as many as may be asked for, of a large picture."""
+    with mitsuba() as mi:
+        scene = mi.load_dict({"type": "scene", "room": {"type": "sphere"}, "sky": {"type": "constant"}})
+        view = mi.load_dict({"type": "perspective", "film": {"type": "hdrfilm", "width": 1024, "height": 768}})
+        integrator = mi.load_dict({"type": "direct", "hide_emitters": True})
+        found = scene_pictures._trace(mi, scene, integrator, view, np.array([5]), range(65528, 65536))
+    assert_exact(found, [[0.0, 0.0, 0.0, 1.0]], "rays from within a dark ball meet it")
 
 
 def test_a_map_of_coefficients_is_the_light_they_are_of():
@@ -235,22 +350,34 @@ POINT = (
 )
 
 
-@pytest.mark.parametrize(
-    ("scales", "expected"),
-    [
-        (0.5, [1.0, 1.0]),
-        ({"key": 0.0}, [0.0, 2.0]),
-        ({"key": 3.0, "*": 0.25}, [6.0, 0.5]),
-        ({"2 other lights": 2.0}, [4.0, 4.0]),
-    ],
+CORNER = "".join(
+    f'<shape type="rectangle"><transform name="to_world">{turn}</transform><bsdf type="diffuse">'
+    '<rgb name="reflectance" value="0.8"/></bsdf></shape>'
+    for turn in ("", '<rotate y="1" angle="90"/><translate x="-1"/>')
 )
-def test_lamps_of_the_scene_are_dimmed_by_name(tmp_path, scales, expected):
-    path = write_scene(tmp_path / "lit.xml", BALL, POINT.format(' id="key"', 0), POINT.format("", 1))
-    with mitsuba() as mi:
-        loaded = mi.load_file(str(path), optimize=False)
-        scale_lamps(mi, loaded, scales)
-        found = [float(np.ravel(mi.traverse(lamp)["intensity.value"])[0]) for lamp in loaded.emitters()]
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
+SQUARE_LAMP = (
+    '<shape type="rectangle"><transform name="to_world"><scale value="0.2"/><rotate x="1" angle="180"/>'
+    '<translate x="{}" z="1"/></transform><emitter type="area"><rgb name="radiance" value="{}"/></emitter></shape>'
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("many", [False, True])
+def test_bounces_are_scaled_with_their_lamp(many, tmp_path):
+    """Half the light of each lamp is half the picture, of lamps without names and of those that are one in the file."""
+    lamps = [SQUARE_LAMP.format(0, 4), SQUARE_LAMP.format(0.5, 2)]
+    points = [POINT.format("", x).replace('z="-1"', 'z="0.5"') for x in np.linspace(-0.5, 0.5, 17 if many else 2)]
+    path = write_scene(tmp_path / "lit.xml", CORNER, *lamps, *points)
+    packed = packed_scene(path)
+    assert packed.fixed.bounced.any()
+    asked = {"width": 16, "look_at": ((2.0, 0.0, 2.0), (-0.5, 0.0, 0.0)), "scene_linear": True, "spp": 1}
+    full, half = (render_picture(packed, **asked, fixed_lights=scale) for scale in (1.0, 0.5))
+    names = dict.fromkeys(packed.fixed.names, 0.5)
+    by_name = render_picture(packed, **asked, fixed_lights=names)
+    assert full[..., :3].max() > 0.1
+    # The same paths: sums of float32, among them one of each lamp.
+    for dimmed in (half, by_name):
+        np.testing.assert_allclose(dimmed[..., :3], 0.5 * full[..., :3], rtol=0, atol=32 * EPSILON * full.max())
 
 
 @pytest.mark.slow

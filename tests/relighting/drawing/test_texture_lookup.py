@@ -110,3 +110,20 @@ def test_textures_too_large_to_keep_are_halved(monkeypatch):
         found = np.array(lookup.reflectance(mi.UInt32([0]), mi.Float([0.2]), mi.Float([0.2]), mi.Bool(True))).ravel()
         assert len(lookup._texels) == 3 * 16
     np.testing.assert_allclose(found, linear(np.array([128 / 255.0] * 3)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("wrap", ["repeat", "clamp", "mirror"])
+@pytest.mark.parametrize("away", [2.0**22 + 0.5, -(2.0**22) - 1.5, 2.0**24, -(2.0**24)])
+def test_coordinates_far_away_are_continued_exactly(wrap, away, rng):
+    """As far as float32 tells where in an image they are; indices of texels there would not fit 32 bits."""
+    colour, colour_file = image(rng, 5, 1500)
+    none = np.full(1, -1, dtype=np.int32)
+    uv = np.full((1, 3, 2), away, dtype=np.float32)
+    white, zero = np.ones((1, 3, 3), dtype=np.float32), np.zeros(1, dtype=np.float32)
+    texture = Texture("colour", colour_file, (wrap, wrap))
+    detail = SurfaceDetail((texture,), np.zeros(1, dtype=np.int32), uv, white, zero, none, np.zeros_like(uv))
+    with mitsuba() as mi:
+        lookup = TextureLookup(mi, detail)
+        found = np.array(lookup.reflectance(mi.UInt32(0), mi.Float(0.0), mi.Float(0.0), mi.Bool(True))).ravel()
+    expected = bilinear(linear(colour), (wrap, wrap), away, away)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)

@@ -36,6 +36,8 @@ def lamps(mi):
         "directional": {"type": "directional", "direction": [0.5, -1.0, -0.3], "irradiance": colour},
         "area": {"type": "sphere", "center": [-1.0, 1.6, -0.5], "radius": 0.6,
                  "emitter": {"type": "area", "radiance": colour}},
+        "cube": {"type": "cube", "to_world": mi.ScalarTransform4f().translate([-1, 0.25, 0.5]).scale(0.25),
+                 "emitter": {"type": "area", "radiance": colour}},
     }  # fmt: skip
 
 
@@ -51,7 +53,7 @@ def lit_floor(mi, file, bsdf=DIFFUSE, **lights):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("material", ["diffuse", "plastic"])
-@pytest.mark.parametrize("kind", ["point", "spot", "directional", "area", "all, and a sky"])
+@pytest.mark.parametrize("kind", ["point", "spot", "directional", "area", "cube", "all, and a sky"])
 def test_light_of_lamps_is_sharp(kind, material, mi, floor):
     """As `path` draws it, shadows and gloss too; the floor sends light only to a ball that reflects none."""
     file, packed = floor
@@ -64,6 +66,20 @@ def test_light_of_lamps_is_sharp(kind, material, mi, floor):
     a, b = (in_blocks(runs(mi, scene, 12, integrator=one, spp=32), 2) for one in (ours, theirs))
     assert b.max() > 0.05
     assert_agree(a, b)
+
+
+@pytest.mark.parametrize("kind", ["cube", "all"])
+def test_light_of_lamps_has_less_noise_than_paths(kind, mi, floor):
+    """Half of a cube's points are on its back, of several lamps most are dim: single points have their noise.
+
+    Measured: 0.20 and 0.14 of that of paths. Six runs tell a standard deviation of 240 pixels to a few percent.
+    """
+    file, packed = floor
+    scene = lit_floor(mi, file, **({kind: lamps(mi)[kind]} if kind in lamps(mi) else lamps(mi)))
+    ours = scene_integrator(mi, packed, lighting=np.zeros((3, 4)), max_depth=2)
+    theirs = mi.load_dict({"type": "path", "max_depth": 2})
+    noise = [np.median(runs(mi, scene, 6, integrator=one, spp=8)[:, 14:].std(axis=0)) for one in (ours, theirs)]
+    assert noise[0] < 0.4 * noise[1]
 
 
 def with_bounces(packed, name: str, bounced: float):
@@ -94,6 +110,22 @@ def test_bounces_of_a_lamp_follow_it(mi, floor, log):
     parameters.update()
     more = middle(picture(mi, scene, integrator=ours))
     np.testing.assert_allclose(more, middle(alone + np.array(ALBEDO) / 4) * [2.0, 3.0, 1.0], rtol=1e-5)
+
+
+def test_another_lamp_on_the_same_shapes(mi, floor):
+    """Scenes may share their objects; an integrator that drew one draws the other as a new one does."""
+    file, packed = floor
+    shared = lit_floor(mi, file).shapes()
+    scenes = [
+        mi.load_dict({"type": "scene", **{f"s{i}": one for i, one in enumerate(shared)}, kind: lamps(mi)[kind],
+                      "sensor": camera(mi, 24)})
+        for kind in ("point", "directional")
+    ]  # fmt: skip
+    dark = {"lighting": np.zeros((3, 4))}
+    ours = scene_integrator(mi, packed, **dark)
+    drawn = [picture(mi, scene, integrator=ours) for scene in scenes]
+    assert_same_picture(drawn[1], picture(mi, scenes[1], integrator=scene_integrator(mi, packed, **dark)), atol=1e-6)
+    assert np.abs(drawn[0] - drawn[1]).max() > 0.1
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, 3.0])

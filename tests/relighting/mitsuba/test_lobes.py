@@ -41,6 +41,8 @@ def materials(mi):
         "thin": ({"type": "principledthin", "base_color": RED, "diff_trans": 0.7}, WHOLE),
         "normalmap": ({"type": "normalmap", "normalmap": bumps, "bsdf": DIFFUSE}, WHOLE),
         "bumpmap": ({"type": "bumpmap", "scale": 0.05, "texture": bumps, "bsdf": plastic}, WHOLE),
+        "two_bumps": ({"type": "twosided", "bsdf": {"type": "bumpmap", "texture": bumps, "bsdf": DIFFUSE}}, WHOLE),
+        "two_plastics": ({"type": "twosided", "a": DIFFUSE, "b": plastic}, SPLIT),
         "metal": (GOLD, NOT_DIFFUSE),
         "glass": ({"type": "dielectric"}, NOT_DIFFUSE),
     }  # fmt: skip
@@ -48,7 +50,7 @@ def materials(mi):
 
 NAMES = [
     "diffuse", "twosided", "texture", "plastic", "roughplastic", "blend", "mask", "principled", "thin", "normalmap",
-    "bumpmap", "metal", "glass",
+    "bumpmap", "two_bumps", "two_plastics", "metal", "glass",
 ]  # fmt: skip
 
 
@@ -104,7 +106,8 @@ def test_held_and_other_lobes_are_the_whole_material(name, mi, rng):
     si = points(mi, count, rng)
     wo = mi.warp.square_to_uniform_sphere(mi.Point2f(rng.random((2, count)).astype(np.float32)))
     material, rectangle = on_material(mi, materials(mi)[name][0], si)
-    held, others, _ = material.evaluate(wo, mi.Bool(True))
+    held = material.held_from(wo, mi.Bool(True))
+    others, _ = material.evaluate(wo, mi.Bool(True))
     whole = np.array(rectangle.bsdf().eval(mi.BSDFContext(), si, wo)) + np.zeros((3, count))
     # A sum of three numbers of float32, the largest of which is the whole.
     np.testing.assert_allclose(np.array(held) + np.array(others), whole, atol=4e-6 * max(1.0, whole.max()))
@@ -122,7 +125,7 @@ def test_directions_are_drawn_with_the_density_that_is_told(name, mi, rng):
     smooth = ~np.array(mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Delta))
     ours = np.array(weight)[0] * smooth
     wo = mi.warp.square_to_uniform_sphere(sampler.next_2d())
-    _, others, _ = material.evaluate(wo, mi.Bool(True))
+    others, _ = material.evaluate(wo, mi.Bool(True))
     theirs = np.broadcast_to(np.array(others)[0] * 4.0 * np.pi, count)
     error = np.hypot(ours.std(), theirs.std()) / np.sqrt(count)
     assert abs(ours.mean() - theirs.mean()) < 4.0 * error + 1e-6

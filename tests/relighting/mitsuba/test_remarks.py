@@ -9,7 +9,8 @@ import trimesh
 import slepian_prt as sp
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.windowing import windowed
-from slepian_prt.relighting.mitsuba.bound_transfer import log_warning
+from slepian_prt.relighting.mitsuba.remarks import heard_remarks, log_warning
+from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from slepian_prt.relighting.mitsuba.spectra import smooth_basis, smooth_spectra
 from slepian_prt.relighting.relight import relight
 from tests.conftest import bumpy
@@ -55,6 +56,33 @@ def test_remarks_are_bare_sentences_and_made_once(mi, folder, log):
         parameters["bumpy.vertex_positions"] *= 1.5
         parameters.update()
     assert log == ["slepian_prt: without light the shapes of bumpy.prt are black"]
+
+
+@pytest.mark.parametrize("radiance", [0.0, 1.0])
+def test_light_that_is_handed_over_is_light(radiance, mi, folder, log):
+    """The shapes are lit by it whatever the scene has; they are black, and that is told, where it is zero."""
+    scene = mi.load_dict({"type": "scene", "sensor": camera(mi), "bumpy": shape(mi, folder)})
+    lighting = np.zeros((3, 49))
+    lighting[:, 0] = radiance
+    pixels = picture(mi, scene, integrator=scene_integrator(mi, packed_of(folder), lighting=lighting), spp=1)
+    assert bool(pixels.any()) == bool(radiance)
+    assert len([text for text in log if "without light" in text]) == (0 if radiance else 1)
+
+
+def test_remarks_are_heard_where_they_are_not_shown(mi, log):
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        with heard_remarks(mi) as remarks:
+            log_warning(mi, "a sentence")
+            mi.Log(mi.LogLevel.Warn, "one of Mitsuba's")
+        assert mi.log_level() == mi.LogLevel.Error
+    finally:
+        mi.set_log_level(level)
+    assert remarks == ["a sentence"]
+    assert not log
+    log_warning(mi, "afterwards")
+    assert log == ["slepian_prt: afterwards"]
 
 
 def test_remarks_follow_the_level_of_the_log(mi, log):

@@ -71,6 +71,17 @@ def test_a_living_room_fits_a_screen(mi):
     assert list(found.values())[3].share == pytest.approx(6 / 65)
 
 
+def test_hair_is_no_hole(mi):
+    """Mitsuba's hair BSDF claims a null lobe, which it does not have."""
+    hair = mi.load_dict({"type": "hair", "id": "Fur"})
+    assert list(rows(mi, outcome(mi, "fur", hair, 0, UNLIT), outcome(mi, "floor", MATERIALS["Wall"]))) == [
+        "glossy reflection of material 'Fur' (shape 'fur')",
+        "transmission through material 'Fur' (shape 'fur')",
+        "light onto other surfaces by reflection of material 'Fur' (shape 'fur')",
+        "light onto other surfaces through material 'Fur' (shape 'fur')",
+    ]
+
+
 def test_a_plain_scene_has_no_rows(mi):
     assert not rows(mi, outcome(mi, "a", MATERIALS["Wall"]), outcome(mi, "b", MATERIALS["Wall"], sides=2))
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from slepian_prt.scene.formats.parts import Material, MeshPart, Texture
-from slepian_prt.scene.reflectance.albedo import decode_textures, effects_left_out, vertex_albedo
+from slepian_prt.scene.reflectance.albedo import decode_textures, effects_left_out, texture_lost, vertex_albedo
 
 ROUNDING = 2e-6  # sums of 16 x 6 terms up to 1 in float32
 
@@ -256,3 +256,40 @@ def test_the_share_of_metal_is_that_of_the_surface():
     assert row.name == "metallic reflection"
     assert row.share == pytest.approx(0.2, rel=1e-12)
     assert effects_left_out(parts, [0.005] * 4) == ()
+
+
+# --- What vertices lose ----------------------------------------------------------------------------------------------
+
+
+def test_lost_is_what_interpolation_misses():
+    """A step over one square, against a dense grid of points of its two triangles."""
+    codes = np.zeros((64, 64, 3))
+    codes[:, 32:] = 255
+    part = square(1, Material("step", texture=image(codes, wrap=("clamp", "clamp"))))
+    textures = decode_textures([part])
+    albedo, _ = vertex_albedo(part, textures)
+    x, y = np.meshgrid(*[(np.arange(500) + 0.5) / 500] * 2, indexing="ij")
+    held = albedo[:, 0].reshape(2, 2)  # by x, then y
+    lower = held[0, 0] + x * (held[1, 0] - held[0, 0]) + y * (held[1, 1] - held[1, 0])
+    upper = held[0, 0] + y * (held[0, 1] - held[0, 0]) + x * (held[1, 1] - held[0, 1])
+    step = np.where(x > 0.5, 1.0, 0.0)
+    expected = np.sqrt(np.mean((step - np.where(x > y, lower, upper)) ** 2) / np.mean(step**2))
+    # Texels next to the step are interpolated: 1/64 of the square is between.
+    np.testing.assert_allclose(texture_lost(part, textures, albedo), expected, rtol=0.03)
+    assert expected > 0.2
+
+
+def test_nothing_is_lost_without_a_texture_or_of_one_that_is_flat():
+    plain = square(2, Material("plain", (0.3, 0.6, 0.2)))
+    assert texture_lost(plain, decode_textures([plain]), vertex_albedo(plain, {})[0]) == 0.0
+    flat = square(2, Material("flat", texture=image(np.full((8, 8, 3), 128))))
+    textures = decode_textures([flat])
+    assert texture_lost(flat, textures, vertex_albedo(flat, textures)[0]) < ROUNDING
+
+
+def test_what_is_lost_is_a_row_of_the_plan():
+    parts = [square(1, Material(name)) for name in ("a", "b")]
+    (row,) = effects_left_out(parts, [0.0, 0.0], [0.3, 0.01])
+    assert row.name == "texture between vertices of material 'a'"
+    assert (round(row.share, 12), row.verdict) == (0.3, "gathered")
+    assert effects_left_out(parts, [0.0, 0.0], [0.04, 0.01]) == ()

@@ -91,3 +91,12 @@ def test_a_model_may_lie_elsewhere(model, tmp_path):
     for name in ("m.obj", "m.mtl", "t.png"):
         shutil.copy(model.parent / name, other / name)
     assert read_surface_detail(other / "m.obj", mesh).is_textured
+
+
+def test_coordinates_that_say_nothing_are_finite(model):
+    """Sums of those that float32 just holds are not; those beyond 2^24 have no fractions."""
+    for wrong in ("3e38", "-1e39", "nan"):
+        model.write_text(OBJ.replace("vt 1 1", f"vt {wrong} {wrong}"))
+        detail = read_surface_detail(model, read_mesh(model))
+        assert np.isfinite(detail.uv).all()
+        assert np.abs(detail.uv).max() <= 2.0**24

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,13 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.mitsuba.lobes import PLAIN, material_kind
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.mitsuba.files import load_xml
 from slepian_prt.scene.mitsuba.parameters import scene_parameters
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail, read_surface_detail
 from slepian_prt.transport.transfer import Transfer
-
-# Parameters of a BSDF that reflects one colour diffusely, by its class.
-_PLAIN = {
-    "SmoothDiffuse": {"reflectance.value"},
-    "TwoSidedBRDF": {"brdf_0.reflectance.value", "brdf_1.reflectance.value"},
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +40,44 @@ class Source:
     detail: SurfaceDetail | None = None
     scene: Any = None
     origin: NDArray[np.float64] | None = None
+
+
+def locate_source(
+    mi: Any,
+    packed: Transfer | CompressedTransfer,
+    scene: str | Path | None,
+    file: str | Path | None,
+    report: Callable[[str], None],
+) -> Source:
+    """What the transfer was made from, with a remark where it is wanted and cannot be had.
+
+    Raises
+    ------
+    UserError
+        It is named and cannot be used.
+    """
+    if packed.toward_view:  # the reflectance is in the transfer
+        return Source()
+    path = find_source(packed, file, scene)
+    if path is None:
+        _report_missing(packed, report)
+        return Source()
+    try:
+        return open_source(mi, packed, path)
+    except UserError as error:
+        if scene is not None:
+            raise
+        report(f"{error}; until then its colours are drawn as the vertices have them")
+        return Source()
+
+
+def _report_missing(packed: Transfer | CompressedTransfer, report: Callable[[str], None]) -> None:
+    lacking = missing_in_picture(packed)
+    if packed.source and lacking:
+        shown = "; ".join(lacking[:3]) + ("; …" if len(lacking) > 3 else "")
+        report(
+            f"{packed.source} is not found, so pictures lack what the file does not hold ({shown}); name its `scene`"
+        )
 
 
 def find_source(
@@ -76,33 +111,26 @@ def open_source(mi: Any, packed: Transfer | CompressedTransfer, path: Path) -> S
     """
     if path.suffix.lower() != ".xml":
         return Source(path, detail=read_surface_detail(path, packed.mesh))
-    if not isinstance(packed, CompressedTransfer):
-        return Source(path)
     loaded, origin = load_xml(mi, path, scene_parameters(packed.parameters))
-    if not calls_for_gathering(loaded, packed):
+    if not calls_for_gathering(mi, loaded, packed):
         return Source(path)
     return Source(path, scene=loaded, origin=origin)
 
 
-def calls_for_gathering(loaded: Any, packed: CompressedTransfer) -> bool:
+def calls_for_gathering(mi: Any, loaded: Any, packed: Transfer | CompressedTransfer) -> bool:
     """Whether a Mitsuba scene has lamps, textures, gloss, or shapes that the file does not hold."""
     if any(not emitter.is_environment() for emitter in loaded.emitters()):
         return True
     held = {part.name for part in packed.parts}
-    names = [shape.id() or f"shape_{index}" for index, shape in enumerate(loaded.shapes())]
+    names = [shape_name(shape, index) for index, shape in enumerate(loaded.shapes())]
     return any(
-        name not in held or not is_plain(shape.bsdf()) for name, shape in zip(names, loaded.shapes(), strict=True)
+        name not in held or not _is_plain(mi, shape.bsdf()) for name, shape in zip(names, loaded.shapes(), strict=True)
     )
 
 
-def is_plain(bsdf: Any) -> bool:
+def _is_plain(mi: Any, bsdf: Any) -> bool:
     """Whether a BSDF reflects one colour, diffusely, and does nothing else."""
-    from slepian_prt.renderer.variants import imported_mitsuba
-
-    if bsdf is None:
-        return False
-    known = _PLAIN.get(bsdf.class_name())
-    return known is not None and {name for name, _ in imported_mitsuba().traverse(bsdf)} <= known
+    return bsdf is not None and material_kind(mi, bsdf) == PLAIN
 
 
 def missing_in_picture(packed: Transfer | CompressedTransfer) -> tuple[str, ...]:
