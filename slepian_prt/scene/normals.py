@@ -20,6 +20,9 @@ _MOST_FACES = 16
 # Vertices around that tell which side of faces back to back is the outer one.
 _AROUND = 8
 
+# Points at which normals are compared with faces.
+_LEANING_POINTS = 1024
+
 
 def face_normals(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
     """(F, 3) unit normals; zero for faces without area."""
@@ -34,6 +37,24 @@ def face_areas(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
     corners = positions[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
+
+
+def leaning_normals(positions: NDArray, faces: NDArray, normals: NDArray) -> float:
+    """How much of the light that normals ask for comes from behind the faces, at some points of the surface.
+
+    Of a hemisphere weighted by the cosine with a normal, that is (1 - cos θ) / 2 where the normal leans by θ. Which
+    side the faces are turned to does not matter.
+    """
+    rng = np.random.default_rng(0)
+    area = face_areas(positions, faces)
+    total = float(area.sum())
+    if total <= 0.0:
+        return 0.0
+    chosen = faces[rng.choice(len(faces), _LEANING_POINTS, p=area / total)]
+    there = np.einsum("pk,pkc->pc", rng.dirichlet(np.ones(3), _LEANING_POINTS), normals[chosen])
+    there /= np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-300)
+    cosine = np.abs(np.einsum("ij,ij->i", there, face_normals(positions, chosen)))
+    return float(0.5 - 0.5 * cosine.mean())
 
 
 def corner_angles(positions: NDArray, faces: NDArray, corner: int) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ import pytest
 import trimesh
 
 from slepian_prt.scene.mesh import MeshDetails, complete_mesh, make_mesh
-from slepian_prt.scene.normals import angle_weighted_normals, face_normals, split_at_creases
-from tests.numerics import assert_exact
+from slepian_prt.scene.normals import angle_weighted_normals, face_normals, leaning_normals, split_at_creases
+from tests.numerics import assert_exact, assert_rounded
 
 CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
 QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -178,3 +178,14 @@ def test_faces_back_to_back_turn_to_the_side_of_the_surface_around():
             mesh = make_mesh(np.concatenate([ball.vertices, patch]), np.concatenate([ball.faces, pair]))
             radial = np.einsum("ij,ij->i", mesh.normals, mesh.positions)
             assert radial.min() > 0.99
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0, 180.0])
+def test_normals_that_lean(degrees):
+    """Of a cosine-weighted hemisphere (1 - |cos θ|) / 2 is below a plane that its axis leans by θ against."""
+    lean = math.radians(degrees)
+    square = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    normals = np.tile([math.sin(lean), 0.0, math.cos(lean)], (4, 1))
+    found = leaning_normals(square, np.array([[0, 1, 2], [0, 2, 3], [0, 0, 1]]), normals)
+    assert_rounded(found, 0.5 - 0.5 * abs(math.cos(lean)), 16, 1.0)
+    assert leaning_normals(np.zeros((3, 3)), np.array([[0, 1, 2]]), normals[:3]) == 0.0

@@ -10,6 +10,9 @@ from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED, TEXTURE_LOST, Le
 from slepian_prt.scene.reflectance import materials
 from slepian_prt.scene.reflectance.bsdf_parts import PERTURBING, all_bsdfs
 
+# Normals that lean less than this, as those of any smooth mesh do, need no row.
+_LEANING = 0.03
+
 # Materials or shapes that a row names.
 _NAMED = 3
 
@@ -64,6 +67,8 @@ class ShapeOutcome(NamedTuple):
         Why that is none, or not both of a surface that reflects on both.
     texture_lost : float
         `materials.VertexReflectance.lost` of its albedo.
+    leaning : float
+        `normals.leaning_normals` of its faces.
     """
 
     shape: Any
@@ -72,6 +77,7 @@ class ShapeOutcome(NamedTuple):
     sides: int
     reason: str = ""
     texture_lost: float = 0.0
+    leaning: float = 0.0
 
 
 class _Described(NamedTuple):
@@ -122,6 +128,7 @@ def effects_left_out(mi: Any, outcomes: Sequence[ShapeOutcome], *, view: bool) -
             words = [word for shape in some for word in shape.effects[effect]]
             rows.append(row(name, some, _TOWARD_VIEW if view else reason, verdict, words))
     rows += _texture_rows(shapes, verdict)
+    rows += _leaning_rows(shapes)
     rows += _without_light(mi, shapes, whole, view=view)
     if len(shapes) > 1:
         sending = [shape for shape in shapes if {"gloss", "mirror"} & shape.effects.keys()]
@@ -188,6 +195,21 @@ def _texture_rows(shapes: Sequence[_Described], verdict: str) -> list[LeftOut]:
     if verdict == GATHERED:
         reason += "; pictures of the scene take the texture at each pixel"
     return [LeftOut(f"texture between vertices of {_listed(some)}", lost, reason, verdict)]
+
+
+def _leaning_rows(shapes: Sequence[_Described]) -> list[LeftOut]:
+    """Meshes whose normals have little to do with their faces, as of boxes with one normal at each corner."""
+    some = [shape for shape in shapes if shape.outcome.leaning >= _LEANING]
+    if not some:
+        return []
+    area = max(sum(shape.area for shape in some), 1e-300)
+    part = sum(shape.area * shape.outcome.leaning for shape in some) / area
+    named = _listed([shape._replace(material="") for shape in some])
+    reason = (
+        "part of the light that normals at vertices ask for from behind the faces: Mitsuba lets it shine through, or "
+        "draws dark backs, here it is that of the front; `face_normals` makes the edges of the shape hard"
+    )
+    return [LeftOut(f"leaning normals of {named}", part, reason)]
 
 
 def _without_light(mi: Any, shapes: Sequence[_Described], whole: float, *, view: bool) -> list[LeftOut]:

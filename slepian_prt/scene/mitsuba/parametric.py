@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -52,8 +53,8 @@ def _on_cylinder(u: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
 PARAMETRIC = {"Sphere": _on_sphere, "Rectangle": _on_rectangle, "Disk": _on_disk, "Cylinder": _on_cylinder}
 
 
-def parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fewest: int) -> Triangles:
-    """A grid over the shape's own parameters, so that textures stay where they are."""
+def surface_of(mi: Any, shape: Any, kind: str, origin: str) -> Callable[[NDArray], tuple[NDArray, NDArray]]:
+    """What gives positions and unit normals of the shape by its own parameters."""
     matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
     linear, offset = matrix[:3, :3], matrix[:3, 3]
     if not np.all(np.isfinite(matrix)) or abs(np.linalg.det(linear)) <= 1e-12 * np.abs(linear).max() ** 3:
@@ -68,6 +69,12 @@ def parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, few
         normals = normals @ np.linalg.inv(linear)
         return positions @ linear.T + offset, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
+    return evaluate
+
+
+def parametric(mi: Any, shape: Any, kind: str, origin: str, diagonal: float, fewest: int) -> Triangles:
+    """A grid over the shape's own parameters, so that textures stay where they are."""
+    evaluate = surface_of(mi, shape, kind, origin)
     coarse = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9), indexing="ij"), axis=-1)
     grid = evaluate(coarse.reshape(-1, 2))[0].reshape(9, 9, 3)
     along = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).sum(axis=axis).max() for axis in (0, 1)]

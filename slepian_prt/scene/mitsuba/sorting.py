@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.renderer.shape_names import shape_name
+from slepian_prt.scene.mitsuba.edge_lengths import EdgeLengths, Things, boxes_of, lengths_alone
 from slepian_prt.scene.mitsuba.effects import ShapeOutcome
 from slepian_prt.scene.mitsuba.instances import (
     MOST_COPIES,
@@ -22,11 +23,11 @@ from slepian_prt.scene.mitsuba.instances import (
     instanced_groups,
     placed,
 )
-from slepian_prt.scene.mitsuba.parametric import PARAMETRIC, fewest_cuts
+from slepian_prt.scene.mitsuba.parametric import PARAMETRIC, fewest_cuts, surface_of
 from slepian_prt.scene.mitsuba.shapes import ReceivingShape, receiving_shape, shape_triangles
-from slepian_prt.scene.mitsuba.subdivision import cut_long_edges
+from slepian_prt.scene.mitsuba.subdivision import Surface, cut_long_edges
 from slepian_prt.scene.mitsuba.triangles import Triangles
-from slepian_prt.scene.normals import face_areas
+from slepian_prt.scene.normals import face_areas, leaning_normals
 from slepian_prt.scene.reflectance import materials
 
 # Faces of meshes may be so large a part of the scene's diagonal, and all may get so many vertices to be no larger.
@@ -156,15 +157,31 @@ class _Sorter:
         left = MOST_VERTICES, MOST_COPIES
         for group in sorted(self._instanced, key=lambda group: sum(_size(shape) for shape in group.shapes)):
             left = self._take_group(group, *left)
-        cut = cut_long_edges(
-            [candidate.triangles for candidate in self._candidates],
-            [_LARGEST_FACE * self._diagonal / candidate.stretch for candidate in self._candidates],
-            [candidate.copies for candidate in self._candidates],
-            _MOST_NEW_VERTICES,
-        )
-        for candidate, triangles in zip(self._candidates, cut.pieces, strict=True):
+        pieces, coarseness = self._cut()
+        for candidate, triangles in zip(self._candidates, pieces, strict=True):
             self._receive(candidate, triangles)
-        return self._result._replace(coarseness=cut.left)
+        return self._result._replace(coarseness=coarseness)
+
+    def _cut(self) -> tuple[list[Triangles], float]:
+        """The candidates' triangles cut finer: first all alike, then where something small is near; what is left."""
+        copies = [candidate.copies for candidate in self._candidates]
+        most = [_LARGEST_FACE * self._diagonal / candidate.stretch for candidate in self._candidates]
+        pieces = [candidate.triangles for candidate in self._candidates]
+        alike = cut_long_edges(pieces, [EdgeLengths(length) for length in most], copies, _MOST_NEW_VERTICES)
+        things = Things(boxes_of(self._loaded.shapes()))
+        wanted = [
+            things.lengths(piece.positions, length)
+            if candidate.instances is None
+            else lengths_alone(piece.positions, length)
+            for candidate, piece, length in zip(self._candidates, alike.pieces, most, strict=True)
+        ]
+        surfaces = [self._surface(candidate) for candidate in self._candidates]
+        finer = cut_long_edges(alike.pieces, wanted, copies, alike.most, surfaces)
+        return finer.pieces, max(alike.left, finer.left)
+
+    def _surface(self, candidate: _Candidate) -> Surface | None:
+        kind = candidate.shape.class_name()
+        return surface_of(self._mi, candidate.shape, kind, self._path) if kind in PARAMETRIC else None
 
     def _take_alone(self, shape: Any, name: str) -> None:
         triangles, reason = self._triangles(shape, name, 1.0)
@@ -225,7 +242,10 @@ class _Sorter:
             made = [placed(mi, receiving, instance, copy_name(name, instance)) for instance in candidate.instances]
         area = sum(float(face_areas(shape.mesh.positions, shape.mesh.faces).sum()) for shape in made)
         result.outcomes[candidate.outcome] = result.outcomes[candidate.outcome]._replace(
-            area=area, sides=1, texture_lost=receiving.texture_lost
+            area=area,
+            sides=1,
+            texture_lost=receiving.texture_lost,
+            leaning=leaning_normals(receiving.mesh.positions, receiving.mesh.faces, receiving.mesh.normals),
         )
         result.receiving.extend(made)
         result.of_outcome.extend([candidate.outcome] * len(made))

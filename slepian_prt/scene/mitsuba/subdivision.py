@@ -1,19 +1,24 @@
 """Large faces cut finer, since light is computed at vertices: walls of two triangles, floors of a few.
 
 Edges that are too long are halved, each in the same way for all faces that have it, also where these have vertices of
-their own at its ends: no gaps open. The new faces lie in the planes of the old ones, so that the shape stays the same.
+their own at its ends: no gaps open. The new faces lie in the planes of the old ones, so that the shape stays the same;
+those of spheres and the like come nearer to their surface.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.scene.mitsuba.edge_lengths import EdgeLengths
 from slepian_prt.scene.mitsuba.triangles import Triangles
 from slepian_prt.scene.normals import complete_normals
+
+# Positions (n, 3) and unit normals (n, 3) by texture coordinates (n, 2).
+Surface: TypeAlias = Callable[[NDArray], tuple[NDArray, NDArray]]
 
 # A mesh is coarse if edges are longer than so many times what is wanted; others keep the vertices that they came with.
 _COARSE = 3.0
@@ -31,47 +36,56 @@ class Subdivision(NamedTuple):
         In the order given.
     left : float
         How many times too long the longest edge still is; 1 if none is too long.
+    most : int
+        New vertices that others may have.
     """
 
     pieces: list[Triangles]
     left: float
+    most: int
 
 
 def cut_long_edges(
-    pieces: Sequence[Triangles], wanted: Sequence[float], copies: Sequence[int], most: int
+    pieces: Sequence[Triangles],
+    wanted: Sequence[EdgeLengths],
+    copies: Sequence[int],
+    most: int,
+    surfaces: Sequence[Surface | None] = (),
 ) -> Subdivision:
     """Halve edges of coarse meshes, the longest first, until none is longer than wanted or the vertices are too many.
 
     Parameters
     ----------
     pieces : sequence of Triangles
-    wanted : sequence of float
+    wanted : sequence of EdgeLengths
         How long edges of each piece may be.
     copies : sequence of int
         How often each piece is there.
     most : int
         New vertices that all copies together may get.
+    surfaces : sequence of Surface or None, optional
+        What new vertices of each piece are put on; its faces without one.
     """
-    limits = [_TOLERANCE * length for length in wanted]
-    coarse = [
-        number
-        for number, (piece, limit) in enumerate(zip(pieces, limits, strict=True))
-        if side_lengths(piece.positions, piece.faces).max(initial=0.0) > _COARSE * limit
-    ]
-    nets = {number: _Net.of(pieces[number]) for number in coarse}
-    ratio = _worst(nets, limits)
+    nets, excess = {}, {}
+    for number, (piece, lengths) in enumerate(zip(pieces, wanted, strict=True)):
+        sides = _excess(piece.positions, piece.faces, lengths)
+        if sides.max(initial=0.0) > _COARSE:
+            nets[number], excess[number] = _Net.of(piece), sides
+    ratio = _worst(excess)
     while ratio > 1.0:
         step = max(1.0, 0.5 * ratio)
-        long = {number: net.long_edges(step * limits[number]) for number, net in nets.items()}
-        most -= sum(copies[number] * len(edges.ends) for number, edges in long.items())
-        if most < 0:
+        long = {number: net.edges(excess[number] > step) for number, net in nets.items()}
+        new = sum(copies[number] * len(edges.ends) for number, edges in long.items())
+        if new > most:
             break
-        nets = {number: net.halved(long[number]) for number, net in nets.items()}
-        ratio = _worst(nets, limits)
+        most -= new
+        nets = {n: net.halved(long[n], surfaces[n] if surfaces else None) for n, net in nets.items()}
+        excess = {n: _excess(net.values[:, :3], net.faces, wanted[n]) for n, net in nets.items()}
+        ratio = _worst(excess)
     result = list(pieces)
     for number, net in nets.items():
         result[number] = net.triangles(pieces[number])
-    return Subdivision(result, max(ratio, 1.0))
+    return Subdivision(result, max(ratio, 1.0), most)
 
 
 def side_lengths(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
@@ -117,18 +131,21 @@ class _Net(NamedTuple):
         values = np.concatenate([np.asarray(column, dtype=np.float64) for column in columns], axis=1)
         return cls(values, piece.faces.astype(np.int64), np.arange(len(piece.faces)))
 
-    def long_edges(self, limit: float) -> _LongEdges:
-        """The edges that are longer than a limit."""
-        long = side_lengths(self.values[:, :3], self.faces) > limit
+    def edges(self, long: NDArray[np.bool_]) -> _LongEdges:
+        """The edges that some sides (F, 3) of the faces are."""
         low, high = np.sort(np.stack([self.faces[long], np.roll(self.faces, -1, axis=1)[long]]), axis=0)
         keys, number = np.unique(low * len(self.values) + high, return_inverse=True)
         side = np.full(self.faces.shape, -1)
         side[long] = number.ravel()
         return _LongEdges(np.stack(np.divmod(keys, len(self.values)), axis=1), side)
 
-    def halved(self, edges: _LongEdges) -> _Net:
+    def halved(self, edges: _LongEdges, surface: Surface | None) -> _Net:
         """With a vertex in the middle of each of the edges, and the faces cut there."""
-        values = np.concatenate([self.values, 0.5 * self.values[edges.ends].sum(axis=1)])
+        new = 0.5 * self.values[edges.ends].sum(axis=1)
+        if surface is not None:
+            new[:, :3], outward = surface(new[:, 6:8])
+            new[:, 3:6] = outward * np.sign(np.einsum("ij,ij->i", outward, new[:, 3:6]))[:, None]
+        values = np.concatenate([self.values, new])
         middle = np.where(edges.side >= 0, len(self.values) + edges.side, -1)
         cut = (middle >= 0).sum(axis=1)
         # Faces turned so that their first sides are those that are cut.
@@ -161,10 +178,19 @@ class _Net(NamedTuple):
         return Triangles(self.values[:, :3], normals, self.faces, uv, attributes, are_own=False)
 
 
-def _worst(nets: dict[int, _Net], limits: list[float]) -> float:
-    """How many times longer than its limit the longest edge of all is."""
-    lengths = {number: side_lengths(net.values[:, :3], net.faces) for number, net in nets.items()}
-    return max((float(sides.max()) / limits[number] for number, sides in lengths.items()), default=1.0)
+def _excess(positions: NDArray, faces: NDArray, wanted: EdgeLengths) -> NDArray[np.float64]:
+    """(F, 3) how many times too long the sides of faces are; of those that are not, no more than that is known."""
+    sides = side_lengths(positions, faces)
+    excess = np.asarray(sides / (_TOLERANCE * wanted.least))
+    if wanted.near:
+        face, side = np.nonzero(excess > 1.0)
+        middle = 0.5 * (positions[faces[face, side]] + positions[faces[face, (side + 1) % 3]])
+        excess[face, side] = sides[face, side] / (_TOLERANCE * wanted.at(middle))
+    return excess
+
+
+def _worst(excess: dict[int, NDArray]) -> float:
+    return max((float(sides.max(initial=0.0)) for sides in excess.values()), default=1.0)
 
 
 def _normals(piece: Triangles) -> NDArray[np.float64]:

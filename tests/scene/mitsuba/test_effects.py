@@ -1,9 +1,11 @@
 """Rows of the plan about materials: one for each effect, which names what it is about and says what happens to it."""
 
 import pytest
+import trimesh
 
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.left_out import LeftOut
+from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mitsuba.effects import ShapeOutcome, effects_left_out
 
 MATERIALS = {
@@ -153,3 +155,32 @@ def test_what_vertices_lose_of_textures(mi):
 
 def test_rows_of_older_files_are_not_simulated():
     assert LeftOut("gloss", 0.5, "why").verdict == "not simulated"
+
+
+def test_leaning_normals_are_told_with_their_part(mi):
+    """Of the shapes that have them, by area; of smooth meshes nothing."""
+    bsdf = MATERIALS["Wall"]
+    found = rows(
+        mi,
+        outcome(mi, "box", bsdf, area=3.0, leaning=0.1),
+        outcome(mi, "room", bsdf, area=1.0, leaning=0.3),
+        outcome(mi, "ball", bsdf, area=9.0, leaning=0.01),
+    )
+    (row,) = found.values()
+    assert row.name == "leaning normals of shapes 'box', 'room'"
+    assert row.share == pytest.approx(0.15)
+    assert "face_normals" in row.reason
+
+
+def test_boxes_with_one_normal_at_each_corner(tmp_path):
+    """As Mitsuba makes them of files without normals; with hard edges they lean nowhere."""
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    named = '<string name="filename" value="box.ply"/>'
+    for flat in ("false", "true"):
+        flag = f'<boolean name="face_normals" value="{flat}"/>'
+        (tmp_path / "scene.xml").write_text(
+            f'<scene version="3.0.0"><shape type="ply" id="box">{named}{flag}<bsdf type="diffuse"/></shape></scene>'
+        )
+        with open_scene(tmp_path / "scene.xml") as scene:
+            names = [row.name for row in scene.not_simulated]
+        assert ("leaning normals of shape 'box'" in names) == (flat == "false")

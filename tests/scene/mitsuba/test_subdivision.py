@@ -7,6 +7,7 @@ import pytest
 
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mitsuba import sorting
+from slepian_prt.scene.mitsuba.edge_lengths import EdgeLengths, Things
 from slepian_prt.scene.mitsuba.subdivision import cut_long_edges, side_lengths
 from slepian_prt.scene.mitsuba.triangles import Triangles
 from slepian_prt.scene.normals import face_areas, face_normals
@@ -34,7 +35,7 @@ def box() -> Triangles:
 
 
 def cut(piece: Triangles, wanted: float, most: int = 10**6) -> Triangles:
-    return cut_long_edges([piece], [wanted], [1], most).pieces[0]
+    return cut_long_edges([piece], [EdgeLengths(wanted)], [1], most).pieces[0]
 
 
 def test_the_shape_stays_the_same():
@@ -96,12 +97,71 @@ def test_the_longest_edges_first_within_a_budget(most):
     """What is left is told, and nothing is left longer than that; copies count."""
     small = Triangles(0.4 * SQUARE, None, TWO, None, {}, are_own=True)
     large = Triangles(SQUARE, None, TWO, None, {}, are_own=True)
-    result = cut_long_edges([small, large], [0.01, 0.01], [1, 3], most)
+    result = cut_long_edges([small, large], [EdgeLengths(0.01), EdgeLengths(0.01)], [1, 3], most)
     new = [len(piece.positions) - 4 for piece in result.pieces]
     assert new[0] + 3 * new[1] <= most
     longest = [side_lengths(piece.positions, piece.faces).max() for piece in result.pieces]
     assert result.left == pytest.approx(max(longest) / 0.01, rel=1e-5)
     assert most < 1000 or (longest[1] <= 0.4 and new[1] > 0)
+
+
+def test_fine_only_where_something_small_stands():
+    """An edge is no longer than what its middle asks for, and far from the thing faces stay large."""
+    thing = np.array([[[40.0, 40.0, 0.0], [41.0, 41.0, 1.0]]])
+    ground = Triangles(100.0 * SQUARE, None, TWO, 100.0 * SQUARE[:, :2], {}, are_own=True)
+    wanted = Things(thing).lengths(ground.positions, 20.0)
+    after = cut_long_edges([ground], [wanted], [1], 10**6).pieces[0]
+    sides = side_lengths(after.positions, after.faces)
+    middles = 0.5 * (after.positions[after.faces] + after.positions[np.roll(after.faces, -1, axis=1)])
+    assert np.all(sides.ravel() <= wanted.at(middles.reshape(-1, 3)) * (1 + 1e-5))
+    assert sides[np.abs(middles - [40.5, 40.5, 0.0]).max(axis=2) < 0.5].max() < math.sqrt(3.0) / 12.0 * 1.5
+    assert len(after.positions) < 4000  # everywhere as fine it would be half a million
+    assert_rounded(face_areas(after.positions, after.faces).sum(), 1e4, len(after.faces))
+
+
+def test_new_vertices_of_a_ball_are_on_it():
+    """As they are put there by their texture coordinates; normals keep their side."""
+    u, v = (values.ravel() for values in np.meshgrid(np.linspace(0.1, 0.3, 3), np.linspace(0.4, 0.6, 3)))
+
+    def on_ball(uv):
+        angle, polar = 2 * np.pi * uv[:, 0], np.pi * uv[:, 1]
+        normal = np.column_stack([np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)])
+        return 3.0 * normal, normal
+
+    uv = np.column_stack([u, v])
+    positions, normals = on_ball(uv)
+    faces = np.array([[a, a + 1, a + 4] for a in (0, 1, 3, 4)] + [[a, a + 4, a + 3] for a in (0, 1, 3, 4)])
+    piece = Triangles(positions, -normals, faces, uv, {}, are_own=False)
+    after = cut_long_edges([piece], [EdgeLengths(0.1)], [1], 10**6, [on_ball]).pieces[0]
+    assert len(after.positions) > 100
+    assert_rounded(np.linalg.norm(after.positions, axis=1), np.full(len(after.positions), 3.0), 8)
+    assert_rounded(after.normals, -after.positions / 3.0, 16)
+
+
+GROUNDS = {
+    "rectangle": '<shape type="rectangle" id="floor"><transform name="to_world"><scale value="100"/></transform>',
+    "mesh": '<shape type="obj" id="floor"><string name="filename" value="floor.obj"/>',
+    "planet": '<shape type="sphere" id="floor"><float name="radius" value="1000"/>'
+    '<point name="center" x="0" y="0" z="-1000"/>',
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_light_on_a_large_ground(ground, tmp_path):
+    """Under the middle of a small disk the sky is blocked by R² / (R² + h²) of its light."""
+    (tmp_path / "floor.obj").write_text("v -100 -100 0\nv 100 -100 0\nv 100 100 0\nv -100 100 0\nf 1 2 3\nf 1 3 4\n")
+    (tmp_path / "scene.xml").write_text(
+        f"""<scene version="3.0.0">{GROUNDS[ground]}<bsdf type="diffuse"/></shape><shape type="disk">
+        <transform name="to_world"><rotate x="1" angle="180"/><scale value="0.5"/><translate z="0.5"/></transform>
+        <bsdf type="conductor"/></shape></scene>"""
+    )
+    transfer = precompute(tmp_path / "scene.xml", 0, 256)
+    light = transfer.vectors[:, 0, 0] * math.sqrt(4.0 * math.pi)
+    radius = np.linalg.norm(transfer.positions[:, :2], axis=1) + 100.0 * (transfer.positions[:, 2] < -900.0)
+    assert light[np.argmin(radius)] == pytest.approx(0.5, abs=0.06)  # a vertex is within a 12th of a diagonal
+    assert (radius < 0.5).sum() > 20
+    assert len(transfer.positions) < 40_000
 
 
 def test_light_on_a_floor_of_two_triangles(tmp_path):
