@@ -64,7 +64,7 @@ def shape_triangles(mi: Any, shape: Any, origin: str, diagonal: float, fewest: i
     if kind in PARAMETRIC:
         triangles = along_normals(parametric(mi, shape, kind, origin, diagonal, fewest))  # it may be mirrored
         return _as_hit(mi, shape, triangles, 0)
-    if not shape.is_mesh():
+    if not shape.is_mesh() or kind == "EllipsoidsMesh":  # whose vertices Mitsuba shows nobody
         return None
     own = triangles_of(mi, shape)
     check_geometry(own.positions, own.faces, origin)
