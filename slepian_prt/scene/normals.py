@@ -39,6 +39,13 @@ def face_areas(positions: NDArray, faces: NDArray) -> NDArray[np.float64]:
     return np.asarray(0.5 * np.linalg.norm(cross, axis=1))
 
 
+def run_against(positions: NDArray, faces: NDArray, normals: NDArray) -> NDArray[np.bool_]:
+    """(F,) whether faces turn the other way round than the normals (V, 3) at their corners."""
+    corner = positions[faces]
+    turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    return np.asarray(np.einsum("ij,ij->i", turned, normals[faces].sum(axis=1)) < 0.0)
+
+
 def leaning_normals(positions: NDArray, faces: NDArray, normals: NDArray) -> float:
     """How much of the light that normals ask for comes from behind the faces, at some points of the surface.
 

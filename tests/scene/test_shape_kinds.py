@@ -106,6 +106,7 @@ def written_ellipsoids(folder) -> str:
         ("linearcurve", written_curve),
         ("sdfgrid", written_grid),
         ("ellipsoids", written_ellipsoids),
+        ("ellipsoidsmesh", written_ellipsoids),
     ],
 )
 def test_shapes_without_vertices_cast_shadows(kind, written, tmp_path):

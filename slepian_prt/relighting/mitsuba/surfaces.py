@@ -78,7 +78,7 @@ class Surfaces:
         hit : PreliminaryIntersection3f
             Of the rays with the scene.
         si : SurfaceInteraction3f
-            Of the same, minimal.
+            Of the same, with shading normals.
         active : Bool
         """
         import drjit as dr
@@ -87,7 +87,8 @@ class Surfaces:
         active = active & hit.is_valid()
         first = _of_shape(mi, self._first_face, hit.shape, active)
         valid = active & (first >= 0)
-        back = dr.dot(si.n, ray.d) > 0.0
+        # The front is that of the shading normals: faces of mirrored meshes run against them.
+        back = (dr.dot(si.n, ray.d) > 0.0) ^ (dr.dot(si.n, si.sh_frame.n) < 0.0)
         face = mi.UInt32(first) + hit.prim_index
         u, v = mi.Float(hit.prim_uv.x), mi.Float(hit.prim_uv.y)
         if self._placed is not None:

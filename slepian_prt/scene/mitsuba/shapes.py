@@ -64,11 +64,11 @@ def shape_triangles(mi: Any, shape: Any, origin: str, diagonal: float, fewest: i
     if kind in PARAMETRIC:
         triangles = along_normals(parametric(mi, shape, kind, origin, diagonal, fewest))  # it may be mirrored
         return _as_hit(mi, shape, triangles, 0)
-    if not shape.is_mesh():
+    if not shape.is_mesh() or kind == "EllipsoidsMesh":  # whose vertices Mitsuba shows nobody
         return None
     own = triangles_of(mi, shape)
     check_geometry(own.positions, own.faces, origin)
-    triangles = along_normals(faceted(own)) if shape.has_face_normals() else own
+    triangles = along_normals(faceted(own) if shape.has_face_normals() else own)
     triangles = _as_hit(mi, shape, triangles, _largest(own))
     return along_normals(cut_cube(triangles, diagonal, fewest)) if kind == "Cube" else triangles
 
@@ -161,9 +161,9 @@ def _largest(triangles: Triangles) -> int:
 
 
 def _as_hit(mi: Any, shape: Any, triangles: Triangles, face: int) -> Triangles:
-    """The triangles on the side that Mitsuba's normals point to at surface hits.
+    """The triangles on the side that Mitsuba's shading normals point to at surface hits.
 
-    With ``flip_normals`` Mitsuba flips those, not the ones that it keeps at the vertices.
+    With ``flip_normals`` Mitsuba flips those of some shapes, not the ones that it keeps at the vertices.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _as_hit(mi: Any, shape: Any, triangles: Triangles, face: int) -> Triangles:
     met = dr.zeros(mi.PreliminaryIntersection3f)
     met.t, met.prim_index, met.prim_uv = mi.Float(size), mi.UInt32(face), mi.Point2f(1.0 / 3.0, 1.0 / 3.0)
     met.shape = mi.ShapePtr(shape)
-    hit = shape.compute_surface_interaction(ray, met, mi.RayFlags.Minimal)
-    if float(np.array(hit.n).ravel() @ towards) >= 0.0:
+    hit = shape.compute_surface_interaction(ray, met, mi.RayFlags.All)
+    if float(np.array(hit.sh_frame.n).ravel() @ towards) >= 0.0:
         return triangles
     return triangles._replace(normals=None if normals is None else -normals, faces=faces[:, ::-1].copy(), are_own=False)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.scene.normals import angle_weighted_normals, split_at_creases
+from slepian_prt.scene.normals import angle_weighted_normals, run_against, split_at_creases
 
 # Faces whose normals are within this angle, in degrees, lie in one plane.
 _PLANE = 0.1
@@ -76,13 +76,13 @@ def faceted(triangles: Triangles) -> Triangles:
 
 def along_normals(triangles: Triangles) -> Triangles:
     """The faces, turned where they run against the normals at their corners."""
-    positions, normals, faces = triangles.positions, triangles.normals, triangles.faces
-    if normals is None:
+    if triangles.normals is None:
         return triangles
-    corner = positions[faces]
-    turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    against = np.einsum("ij,ij->i", turned, normals[faces].sum(axis=1)) < 0.0
-    return triangles._replace(faces=np.where(against[:, None], faces[:, ::-1], faces))
+    faces = triangles.faces
+    against = run_against(triangles.positions, faces, triangles.normals)
+    if not against.any():
+        return triangles
+    return triangles._replace(faces=np.where(against[:, None], faces[:, ::-1], faces), are_own=False)
 
 
 def mesh_of(mi: Any, bsdf: Any, name: str, triangles: Triangles, normals: NDArray) -> Any:

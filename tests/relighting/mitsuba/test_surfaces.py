@@ -177,3 +177,24 @@ def test_a_part_that_is_elsewhere(mi, tmp_path):
     with pytest.raises(RuntimeError) as caught:
         drawn(mi, packed, {"floor": written(tmp_path / "floor.ply", SQUARE, FACES)})
     assert "its shape 'top' (4 vertices) is not in the scene, which has the shapes 'floor'" in messages(caught.value)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("scale", [0.5, -0.5])
+def test_a_mirrored_ball_is_seen_from_outside(scale, flipped, mi, tmp_path):
+    """Its faces turn round, its normals do not: under light of 1 it shows its albedo, as ``path`` has it."""
+    ball = trimesh.creation.icosphere(3)
+    normals = -ball.vertices if flipped else ball.vertices
+    trimesh.Trimesh(ball.vertices, ball.faces, vertex_normals=normals, process=False).export(
+        tmp_path / "ball.ply", vertex_normal=True
+    )
+    shape = {
+        "type": "ply", "filename": str(tmp_path / "ball.ply"), "flip_normals": flipped,
+        "to_world": mi.ScalarTransform4f().scale([scale, 0.5, 0.5]),
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.3, 0.2]}},
+    }  # fmt: skip
+    packed = sp.compress(sp.precompute({"type": "scene", "ball": dict(shape)}, 1, 16, effects="none"), clusters=1)
+    pixels, places = drawn(mi, packed, {"ball": shape})
+    on_ball = inside(np.isfinite(places[..., 0]))
+    assert on_ball.sum() > 50
+    np.testing.assert_allclose(pixels[on_ball], np.tile([0.6, 0.3, 0.2], (on_ball.sum(), 1)), rtol=2e-2)

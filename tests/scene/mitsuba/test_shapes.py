@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.emitters import emitted_environment
@@ -81,6 +82,35 @@ def test_shapes_become_meshes(kind, exact, flipped, placed, tmp_path):
         assert (facing[inner] > 0.99).all() or kind == "cylinder"
 
 
+@pytest.mark.parametrize("flipped", ["false", "true"])
+@pytest.mark.parametrize("scale", [0.5, -0.5])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_front_of_a_mesh_is_that_of_its_shading_normals(flipped, scale, side, tmp_path):
+    """Mirrored meshes keep their normals, while their faces turn round; so do those whose file has them inward."""
+    ball = trimesh.creation.icosphere(2)
+    trimesh.Trimesh(ball.vertices, ball.faces, vertex_normals=side * ball.vertices, process=False).export(
+        tmp_path / "ball.ply", vertex_normal=True
+    )
+    placed = f'<transform name="to_world"><scale x="{scale}" y="0.5" z="0.5"/><translate x="0.25"/></transform>'
+    body = (
+        f'<shape type="ply"><string name="filename" value="ball.ply"/>{placed}'
+        f'<boolean name="flip_normals" value="{flipped}"/><bsdf type="diffuse"/></shape>'
+    )
+    path = write(tmp_path, body)
+    with open_scene(path) as scene:
+        mi, mesh = scene.mi, scene.mesh
+        away = (mesh.positions - [0.25, 0.0, 0.0]) / 0.5
+        loaded = mi.load_file(str(path), optimize=False)
+        hit = loaded.ray_intersect(mi.Ray3f(mi.Point3f(0.3, 0.05, 2), mi.Vector3f(0, 0, -1)))
+        outward = float(hit.sh_frame.n.z[0]) > 0.0
+        assert outward == ((side > 0.0) != (flipped == "true"))
+        toward = np.einsum("ij,ij->i", mesh.normals, away)  # 1, and less in the middle of chords
+        assert np.all(toward > 0.95) if outward else np.all(toward < -0.95)
+        corner = mesh.positions[mesh.faces]
+        turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        assert np.all(np.einsum("ij,ij->i", turned, mesh.normals[mesh.faces[:, 0]]) > 0.0)
+
+
 @pytest.mark.parametrize("linear", ["0.5 0 0 0 0 0.3 0 0.6 0 0 0.4 0", "0.3 0.2 0 0 0 0.5 0.1 0 0 0 -0.4 0"])
 def test_spheres_stay_round_under_any_transform(linear, tmp_path):
     placed = f'<transform name="to_world"><matrix value="{linear} 0 0 0 1"/></transform>'
@@ -142,8 +172,6 @@ def test_shared_and_layered_materials(tmp_path):
 
 
 def test_mesh_attributes_are_reflectances_too(tmp_path):
-    import trimesh
-
     grid = trimesh.creation.icosphere(3)
     colours = np.zeros((len(grid.vertices), 4), dtype=np.uint8)
     colours[:, 0], colours[:, 3] = np.where(grid.vertices[:, 2] > 0, 255, 0), 255
