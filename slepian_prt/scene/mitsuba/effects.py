@@ -207,7 +207,7 @@ def _leaning_rows(shapes: Sequence[_Described]) -> list[LeftOut]:
     named = _listed([shape._replace(material="") for shape in some])
     reason = (
         "part of the light that normals at vertices ask for from behind the faces: Mitsuba lets it shine through, or "
-        "draws dark backs, here it is that of the front; `face_normals` makes the edges of the shape hard"
+        "draws dark backs, here it is that of the front; face_normals makes the edges of the shape hard"
     )
     return [LeftOut(f"leaning normals of {named}", part, reason)]
 
