@@ -26,8 +26,7 @@ from slepian_prt.evaluation.sweep.report import front_context
 from slepian_prt.evaluation.sweep.run import sweep
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.relighting.drawing.camera import trace_camera
-from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb
-from slepian_prt.renderer.variants import imported_mitsuba, usable_variant
+from slepian_prt.relighting.drawing.pictures import exposure, to_srgb
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.transport.settings import TransportSettings
 
@@ -135,36 +134,6 @@ def effects() -> None:
         axis.axis("off")
     figure.subplots_adjust(wspace=0.02)
     save(figure, "effects")
-
-
-def room() -> None:
-    """The shipped room: path-traced, and from one file under its own light, without its lamp, and under another sky."""
-    path = ROOT / "scenes" / "room.xml"
-    packed = sp.compress(sp.precompute(path, samples=512), tolerance=0.01)
-    mi = imported_mitsuba()
-    mi.set_variant(usable_variant())
-    mi.set_log_level(mi.LogLevel.Error)
-    scene = mi.load_file(str(path))
-    traced = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 32}), spp=2048))
-    reference = Picture(traced[..., :3].astype(np.float32), np.ones(traced.shape[:2], dtype=np.float32))
-    scale = exposure(reference)
-    shots = [("path-traced, 2048 samples per pixel", to_srgb(reference, scale))]
-    evening = make_environment(np.broadcast_to([0.05, 0.06, 0.12], (8, 16, 3)))
-    for title, light, lamps in (
-        ("from the file", None, 1.0),
-        ("the lamp turned off", None, 0.0),
-        ("the lamp alone in a blue night", evening, 1.0),
-    ):
-        drawn = sp.render_picture(packed, light, fixed_lights=lamps, background="map", spp=256, scene_linear=True)
-        picture = Picture(drawn[..., :3], np.ones(drawn.shape[:2], dtype=np.float32))
-        shots.append((title, to_srgb(picture, scale)))
-    figure, axes = plt.subplots(2, 2, figsize=(11, 8.6))
-    for axis, (title, pixels) in zip(axes.ravel(), shots, strict=True):
-        axis.imshow(pixels)
-        axis.set_title(title)
-        axis.axis("off")
-    figure.subplots_adjust(wspace=0.02, hspace=0.08)
-    save(figure, "room")
 
 
 def accuracy() -> None:
@@ -386,7 +355,6 @@ FIGURE_MAKERS = {
     "paper_figure_3": paper_figure_3,
     "paper_figure_4": paper_figure_4,
     "functions": functions,
-    "room": room,
     "shannon": shannon,
 }
 

@@ -59,7 +59,7 @@ def test_shapes_become_meshes(kind, exact, flipped, placed, tmp_path):
         assert area(mesh) == pytest.approx(exact, rel=4e-3)
         assert mesh.receivers.active.all()
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-6)
-        # Faces turn the way that the normals point, and both the way that Mitsuba's own shape does.
+        # Faces turn the way that the normals point, and both the way that Mitsuba's own shape is shaded.
         corner = mesh.positions[mesh.faces]
         turned = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         assert (np.einsum("ij,ij->i", turned, mesh.normals[mesh.faces[:, 0]]) > 0).all()
@@ -78,7 +78,7 @@ def test_shapes_become_meshes(kind, exact, flipped, placed, tmp_path):
         sides = np.sort(np.concatenate([mesh.faces[:, [i, j]] for i, j in ((0, 1), (1, 2), (2, 0))]), axis=1)
         edges, count = np.unique(sides, axis=0, return_counts=True)
         assert np.isin(np.flatnonzero(~inner), edges[count == 1]).all()  # only at a border may it meet something else
-        facing = np.einsum("ji,ij->i", np.array(si.n), mesh.normals)
+        facing = np.einsum("ji,ij->i", np.array(si.sh_frame.n), mesh.normals)
         assert (facing[inner] > 0.99).all() or kind == "cylinder"
 
 
