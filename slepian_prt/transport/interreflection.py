@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,14 @@ _COLUMNS = 16
 
 # Indirect light varies slowly: it is gathered with this part of the rays that visibility gets.
 GATHER_SHARE = 0.25
+
+
+class Exchange(Protocol):
+    """Light that receivers get from each other: R, or more."""
+
+    def reflected(self, albedo: NDArray, values: NDArray, channel: int = 0) -> NDArray[np.float32]:
+        """(V, k) light received from surfaces of one channel's ``albedo`` (V,) that shine by ``values`` (V, k)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -57,8 +65,9 @@ class Gather:
     others: float
     rays: int
 
-    def reflected(self, albedo: NDArray, values: NDArray) -> NDArray[np.float32]:
+    def reflected(self, albedo: NDArray, values: NDArray, channel: int = 0) -> NDArray[np.float32]:
         """(V, k) light received from surfaces of one channel's ``albedo`` (V,) that shine by ``values`` (V, k)."""
+        del channel  # all are alike
         result = np.zeros_like(values)
         result[self.rows] = self.weights @ (albedo[:, None] * values)
         return result
@@ -102,17 +111,26 @@ def gather_operator(
     return Gather(vertices, joined, backs / vertices.size, others / vertices.size, tracer.rays)
 
 
-def add_bounces(gather: Gather, albedo: NDArray, direct: NDArray, channels: int, bounces: int) -> NDArray[np.float32]:
+def add_bounces(
+    gather: Exchange,
+    albedo: NDArray,
+    direct: NDArray,
+    channels: int,
+    bounces: int,
+    source: Callable[[int, slice], NDArray] | None = None,
+) -> NDArray[np.float32]:
     """Transfer vectors with the light of ``bounces`` bounces between surfaces added.
 
     Parameters
     ----------
-    gather : Gather
+    gather : Gather, or another exchange of light
     albedo : (V, 3)
     direct : (V, M) float32
         Direct transfer for unit albedo. With one channel its memory becomes the result's.
     channels : 1 (their mean stands for all) or 3
     bounces : int
+    source : callable, optional
+        Gives what comes to the vertices beside ``direct``: (V, k), of a channel and some of the columns.
 
     Returns
     -------
@@ -124,9 +142,11 @@ def add_bounces(gather: Gather, albedo: NDArray, direct: NDArray, channels: int,
     def bounce(channel: int, columns: slice) -> None:
         reflectance = (albedo.mean(axis=1) if channels == 1 else albedo[:, channel]).astype(np.float32)
         light = np.ascontiguousarray(direct[:, columns])
+        if source is not None:
+            light = light + source(channel, columns)
         collected = light.copy()
         for _ in range(bounces):
-            light = gather.reflected(reflectance, light)
+            light = gather.reflected(reflectance, light, channel)
             collected += light
         total[:, channel, columns] = collected
 
@@ -137,23 +157,24 @@ def add_bounces(gather: Gather, albedo: NDArray, direct: NDArray, channels: int,
     return total
 
 
-def count_bounces(gather: Gather, albedo: NDArray, ambient: NDArray) -> int:
+def count_bounces(gather: Exchange, albedo: NDArray, ambient: NDArray, channel: int = 0) -> int:
     """Bounces after which what is left is less than a thousandth of the mean radiance, under any light.
 
     Light is never negative, so a constant environment bounds all others of the same peak: it alone is followed here.
 
     Parameters
     ----------
-    gather : Gather
+    gather : Gather, or another exchange of light
     albedo : (V, 3)
     ambient : (V,) direct part of a constant environment's light
-
+    channel : int
+        Of the exchange.
     """
     reflectance = albedo.max(axis=1).astype(np.float32)
     light = ambient.astype(np.float32)[:, None]
     collected, last = float(light.mean()), float(light.max(initial=0.0))
     for count in range(1, _MOST_BOUNCES + 1):
-        light = gather.reflected(reflectance, light)
+        light = gather.reflected(reflectance, light, channel)
         largest = float(light.max(initial=0.0))
         if largest == 0.0:
             return count - 1

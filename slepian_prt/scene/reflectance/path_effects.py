@@ -1,0 +1,43 @@
+"""What light paths do at a material beside diffuse reflection, by the names of the effects plan."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slepian_prt.scene.reflectance.bsdf_parts import all_bsdfs
+
+# By what a path meets first; of a material that does several of these, the first in this list counts.
+PATH_EFFECTS = ("media", "opacity", "glass", "transmission", "mirrors", "gloss")
+
+# Of shapes that hold no light because they have no vertices.
+DIFFUSE = "diffuse"
+
+_GLASS = ("SmoothDielectric", "ThinDielectric", "RoughDielectric")
+_MIRRORS = ("SmoothConductor",)
+
+# BSDFs with a null lobe that is no hole: what goes straight through is one of several things that they do.
+_NO_HOLES = ("ThinDielectric", "Hair")
+
+
+def path_effect(mi: Any, bsdf: Any) -> str | None:
+    """One of `PATH_EFFECTS`, `DIFFUSE` for a material that does none of these, or None if nothing comes back from it.
+
+    ``media`` is no effect of materials: of a boundary that all light passes, ``opacity`` is told.
+    """
+    flags = mi.BSDFFlags
+    parts = list(all_bsdfs(mi, bsdf))
+
+    def has(part: Any, *some: Any) -> bool:
+        return any(mi.has_flag(part.flags(), flag) for flag in some)
+
+    glossy = (flags.GlossyReflection, flags.DeltaReflection)
+    through = (flags.DiffuseTransmission, flags.GlossyTransmission, flags.DeltaTransmission)
+    kinds = {part.class_name() for part in parts}
+    if "MaskBSDF" in kinds or (has(bsdf, flags.Null) and not kinds & set(_NO_HOLES)):
+        return "opacity"
+    if has(bsdf, *through, flags.Null):
+        bent = has(bsdf, flags.GlossyTransmission) and not has(bsdf, flags.DiffuseTransmission) and "Hair" not in kinds
+        return "glass" if bent or kinds & set(_GLASS) else "transmission"
+    if has(bsdf, *glossy):
+        return "mirrors" if kinds & set(_MIRRORS) else "gloss"
+    return DIFFUSE if has(bsdf, flags.DiffuseReflection) else None

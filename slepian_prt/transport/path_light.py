@@ -1,0 +1,320 @@
+"""Light that comes to receivers by way of what vertices do not hold: mirrors, gloss, glass, holes, leaves, fog.
+
+From a receiver rays leave by the cosine. Those that first meet the sky, or a surface that does nothing but reflect
+diffusely, are left to `direct` and `interreflection`. The others go on as Mitsuba's BSDFs draw them until they escape,
+which is a term β y_lm(ω) of E, or meet a face whose light is held at its vertices, which is an entry of S; so that
+
+    T = T₀ + E + (R + S) diag(ρ) T
+
+has no path twice, and none is left out. Two sets of rays, each with a shift of its own at each receiver, make
+independent halves, whose difference tells the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from slepian_prt.paths.tracer import PathTracer
+from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.scene import Scene
+from slepian_prt.sphere.harmonics import num_coefficients, real_sh
+from slepian_prt.sphere.rotation import rotation_to
+from slepian_prt.transport.estimator import overlapped
+from slepian_prt.transport.hemisphere import upload_frames, upload_origins
+from slepian_prt.transport.held_faces import Corners, HeldFaces
+
+_RAYS_PER_BLOCK = 1 << 19
+
+# Numbers in the harmonics of the directions that are added up at a time.
+_NUMBERS = 1 << 23
+
+# Additive recurrence in two dimensions (Roberts 2018), by the root of x³ = x + 1.
+_STEPS = tuple(int(step * 2**32) for step in (0.7548776662466927, 0.5698402909980532))
+
+# From 32 bits to [0, 1), so that rounding does not reach one.
+_UNIT = (1.0 - 2.0**-24) * 2.0**-32
+
+
+class Ends(NamedTuple):
+    """Where the paths of a block of n receivers ended: k that escaped, and m on held faces.
+
+    Attributes
+    ----------
+    receivers : (n,)
+    samples : int
+        First directions of each; those of the second half come last.
+    lanes : (k,), held_lanes : (m,)
+        ``samples`` times the place of the receiver in the block, plus the number of the direction; ascending.
+    directions : (k, 3)
+        In the world.
+    throughput : (k, 3), held_throughput : (m, 3)
+    first, held_first : (k,), (m,)
+        What the paths met first: see `slepian_prt.paths.tracer`.
+    corners : Corners
+        Of the held faces.
+    rays : int
+    """
+
+    receivers: NDArray[np.int64]
+    samples: int
+    lanes: NDArray[np.int64]
+    directions: NDArray[np.float64]
+    throughput: NDArray[np.float32]
+    first: NDArray[np.uint32]
+    held_lanes: NDArray[np.int64]
+    held_throughput: NDArray[np.float32]
+    held_first: NDArray[np.uint32]
+    corners: Corners
+    rays: int
+
+    def of(self, events: Iterable[int]) -> Ends:
+        """Those of the paths that first met something of these kinds."""
+        wanted = np.array(sorted(events), dtype=np.uint32)
+        escaped, held = np.isin(self.first, wanted), np.isin(self.held_first, wanted)
+        return self._replace(
+            lanes=self.lanes[escaped],
+            directions=self.directions[escaped],
+            throughput=self.throughput[escaped],
+            first=self.first[escaped],
+            held_lanes=self.held_lanes[held],
+            held_throughput=self.held_throughput[held],
+            held_first=self.held_first[held],
+            corners=Corners(self.corners.vertices[held], self.corners.weights[held]),
+        )
+
+
+class PathRays:
+    """Paths from receivers of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        First directions of each receiver, an even number.
+    seed : int
+
+    Attributes
+    ----------
+    has_media : bool
+    """
+
+    def __init__(self, scene: Scene, samples: int, seed: int) -> None:
+        self._scene, self._samples, self._seed = scene, samples, seed
+        self._held = HeldFaces(scene)
+        self._tracer = PathTracer(scene.mi, scene.geometry, known=self._held)
+        self._sampler = scene.mi.load_dict({"type": "independent"})
+
+    def blocks(self, vertices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """The receivers in blocks whose rays fit in memory; neighbours in space together."""
+        order = vertices[np.argsort(morton(self._scene.traced_positions[vertices]), kind="stable")]
+        size = max(1, _RAYS_PER_BLOCK // self._samples)
+        return [order[begin : begin + size] for begin in range(0, order.size, size)]
+
+    def trace(self, vertices: NDArray[np.int64]) -> Ends:
+        """Follow the paths of a block of receivers."""
+        import drjit as dr
+
+        mi = self._scene.mi
+        ray = self._first_rays(vertices)
+        hit = self._scene.geometry.ray_intersect_preliminary(ray)
+        lane = dr.compress(self._held.goes_on(ray, hit))
+        lanes = np.array(lane, dtype=np.int64)
+        rays = vertices.size * self._samples
+        if lanes.size == 0:
+            return _nothing(vertices, self._samples, rays)
+        ray = mi.Ray3f(dr.gather(mi.Point3f, ray.o, lane), dr.gather(mi.Vector3f, ray.d, lane))
+        seed = np.random.SeedSequence([self._seed, 1, int(vertices[0])]).generate_state(1)[0]
+        self._sampler.seed(mi.UInt32(int(seed)), lanes.size)
+        ends = self._tracer.follow(self._sampler, ray, first_known=True)
+        escaped, held = np.array(ends.escaped), np.array(ends.held)
+        throughput, first = np.array(ends.throughput).T, np.array(ends.first)
+        out, on = np.flatnonzero(escaped), np.flatnonzero(held)
+        return Ends(
+            vertices,
+            self._samples,
+            lanes[out],
+            np.array(ends.direction).T[out].astype(np.float64),
+            throughput[out],
+            first[out],
+            lanes[on],
+            throughput[on],
+            first[on],
+            self._held.corners(ends.ray, ends.hit, on),
+            rays + lanes.size,
+        )
+
+    def _first_rays(self, vertices: NDArray[np.int64]) -> Any:
+        """Rays by the cosine about the normals, those of one receiver side by side."""
+        import drjit as dr
+
+        mi, scene, half = self._scene.mi, self._scene, self._samples // 2
+        lane = dr.arange(mi.UInt32, vertices.size * self._samples)
+        place = lane // dr.opaque(mi.UInt32, self._samples)
+        among = lane - place * self._samples
+        second = among >= half
+        among = dr.select(second, among - half, among)
+        # By the receiver and the half, whatever block it is in, the same shifts.
+        number = 2 * dr.gather(mi.UInt32, mi.UInt32(vertices), place) + dr.select(second, 1, 0)
+        key = int(np.random.SeedSequence([self._seed, 0]).generate_state(1)[0])
+        shifts = mi.sample_tea_32(number, dr.opaque(mi.UInt32, key))
+        u = [mi.Float(among * mi.UInt32(step) + shift) * _UNIT for step, shift in zip(_STEPS, shifts, strict=True)]
+        frames = rotation_to(scene.receivers.normals[vertices])
+        outward = upload_frames(mi, frames)(place, mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
+        return mi.Ray3f(upload_origins(mi, scene.ray_origins, vertices)(place, outward), outward)
+
+
+def _nothing(vertices: NDArray[np.int64], samples: int, rays: int) -> Ends:
+    """A block whose first rays meet nothing to go on from."""
+    lanes, directions, colours = np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3), np.float32)
+    first, corners = np.zeros(0, np.uint32), Corners(np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32))
+    return Ends(vertices, samples, lanes, directions, colours, first, lanes, colours, first, corners, rays)
+
+
+@dataclass(frozen=True, eq=False)
+class PathLight:
+    """E and S of n receivers, for unit albedo.
+
+    Attributes
+    ----------
+    rows : (n,)
+        The receivers.
+    escaped : (n, channels, (L+1)²) float32
+        E: what comes from the sky.
+    escaped_error : (n, channels, (L+1)²) float32
+        Half the difference of its halves.
+    met : tuple of sparse (n, V), one for each channel
+        S: how much of each vertex is seen.
+    halves : (k,) int8
+        Of the entries of S: 1 in the first half, -1 in the second.
+    received : (n,) float32
+        What would come from surroundings that shine everywhere alike: the mean of the channels.
+    rays : int
+        Traced at least: the first of each path, and the second of those that went on.
+    """
+
+    rows: NDArray[np.int64]
+    escaped: NDArray[np.float32]
+    escaped_error: NDArray[np.float32]
+    met: tuple[csr_array, ...]
+    halves: NDArray[np.int8]
+    received: NDArray[np.float32]
+    rays: int
+
+    def reflected(self, albedo: NDArray, values: NDArray, channel: int = 0) -> NDArray[np.float32]:
+        """(V, k) light that paths bring from surfaces of ``albedo`` (V,) that shine by ``values`` (V, k)."""
+        result = np.zeros_like(values)
+        result[self.rows] = self._of(channel) @ (albedo[:, None] * values)
+        return result
+
+    def error(self, albedo: NDArray, values: NDArray, channel: int) -> NDArray[np.float32]:
+        """(n, k) half the difference of the halves of what ``reflected`` gives."""
+        met = self._of(channel)
+        signed = csr_array((met.data * self.halves, met.indices, met.indptr), shape=met.shape)
+        return signed @ (albedo[:, None] * values)
+
+    def source(self, count: int, channel: int, columns: slice) -> NDArray[np.float32]:
+        """(count, k) some columns of E, for all receivers."""
+        result = np.zeros((count, self.escaped.shape[2]), dtype=np.float32)[:, columns]
+        result[self.rows] = self.escaped[:, min(channel, self.escaped.shape[1] - 1), columns]
+        return result
+
+    def _of(self, channel: int) -> csr_array:
+        return self.met[min(channel, len(self.met) - 1)]
+
+
+def trace_paths(
+    scene: Scene,
+    vertices: NDArray[np.int64],
+    samples: int,
+    events: frozenset[int],
+    bandlimit: int,
+    channels: int,
+    seed: int,
+    advance: Callable[[int], None] = lambda _: None,
+) -> PathLight:
+    """What paths bring to ``vertices`` that first meet some kinds of things.
+
+    Parameters
+    ----------
+    scene : Scene
+    vertices : (n,) indices
+    samples : int
+        First directions of each, an even number.
+    events : kinds of first events, see `slepian_prt.paths.tracer`
+    bandlimit : int
+    channels : 1 (their mean stands for all) or 3
+    seed : int
+    advance : callable
+        Given the number of vertices finished since its last call.
+    """
+    rays = PathRays(scene, samples, seed)
+    blocks = rays.blocks(vertices)
+    size = num_coefficients(bandlimit)
+    result = _Sums(np.concatenate(blocks), len(scene.receivers), channels, size)
+    done = overlapped(blocks, lambda block: rays.trace(block).of(events), lambda ends: result.add(ends, bandlimit))
+    for count in done:
+        advance(count)
+    return result.finished()
+
+
+class _Sums:
+    """Paths added up, block by block in the order of ``rows``."""
+
+    def __init__(self, rows: NDArray[np.int64], vertices: int, channels: int, size: int) -> None:
+        self._rows, self._vertices, self._channels = rows, vertices, channels
+        self._escaped = np.zeros((2, rows.size, channels, size), dtype=np.float32)
+        self._received = np.zeros(rows.size, dtype=np.float32)
+        self._entries: list[tuple[NDArray, NDArray, NDArray, NDArray]] = []
+        self._done = self._rays = 0
+
+    def add(self, ends: Ends, bandlimit: int) -> int:
+        """Add a block; returns how many receivers it has."""
+        count, samples = ends.receivers.size, ends.samples
+        block = slice(self._done, self._done + count)
+        throughput, held = (self._in_channels(values) / samples for values in (ends.throughput, ends.held_throughput))
+        self._add_escaped(ends, throughput, bandlimit, block)
+        row = ends.held_lanes // samples
+        among = np.bincount(row, minlength=count)
+        sign = np.where(ends.held_lanes % samples < samples // 2, 1, -1).astype(np.int8)
+        values = (held[:, :, None] * ends.corners.weights[:, None]).transpose(1, 0, 2).reshape(self._channels, -1)
+        self._entries.append((3 * among, ends.corners.vertices.ravel(), values.astype(np.float32), np.repeat(sign, 3)))
+        for lanes, amount in ((ends.lanes, throughput), (ends.held_lanes, held)):
+            self._received[block] += np.bincount(lanes // samples, amount.mean(axis=1), minlength=count)
+        self._done, self._rays = self._done + count, self._rays + ends.rays
+        return count
+
+    def finished(self) -> PathLight:
+        counts, corners, values, signs = (
+            np.concatenate(parts, axis=-1) for parts in zip(*self._entries, strict=True)
+        )
+        self._entries.clear()
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        wide = np.int64 if starts[-1] > np.iinfo(np.int32).max else np.int32
+        shape = (self._rows.size, self._vertices)
+        met = tuple(csr_array((data, corners.astype(wide), starts.astype(wide)), shape=shape) for data in values)
+        return PathLight(self._rows, self._escaped[0], self._escaped[1], met, signs, self._received, self._rays)
+
+    def _in_channels(self, values: NDArray) -> NDArray[np.float64]:
+        values = values.astype(np.float64)
+        return values if self._channels == 3 else values.mean(axis=1, keepdims=True)
+
+    def _add_escaped(self, ends: Ends, throughput: NDArray, bandlimit: int, block: slice) -> None:
+        """Sums of β y_lm over the paths, and over those of the first half less those of the second."""
+        count, samples, size = ends.receivers.size, ends.samples, self._escaped.shape[3]
+        sign = np.where(ends.lanes % samples < samples // 2, 1.0, -1.0)
+        at_once = max(1, _NUMBERS // size)
+        for begin in range(0, ends.lanes.size, at_once):
+            some = slice(begin, begin + at_once)
+            starts = np.concatenate([[0], np.cumsum(np.bincount(ends.lanes[some] // samples, minlength=count))])
+            columns = np.arange(starts[-1])
+            harmonics = real_sh(bandlimit, ends.directions[some]).astype(np.float32)
+            for channel in range(self._channels):
+                for half, weight in enumerate((throughput[some, channel], throughput[some, channel] * sign[some])):
+                    rows = csr_array((weight.astype(np.float32), columns, starts), shape=(count, columns.size))
+                    self._escaped[half, block, channel] += rows @ harmonics
