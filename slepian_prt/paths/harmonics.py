@@ -46,7 +46,7 @@ class PathSums(NamedTuple):
     vectors : (n, 3, (L+1)²) float32
         Σ β y_lm(ω) of the paths that escape.
     squares : (n, 3) float32
-        Σ β². By the addition theorem Σ_m (β y_lm)² = β² (2l+1)/4π, so that these give the second moments of all degrees.
+        Σ β², which give the second moments of all degrees: by the addition theorem Σ_m (β y_lm)² = β² (2l+1)/4π.
     """
 
     vectors: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""Paths through a scene, followed until they end: each either escapes, or meets a surface whose light is known, or dies.
+"""Paths through a scene, followed until they escape, or meet a surface whose light is known, or die.
 
 A path that escapes in direction ω with throughput β contributes β L(ω), whatever the distant light L is: β y_lm(ω) to
 the coefficients of transfer. No light is looked for on the way (distant light is all around), so that a path has one

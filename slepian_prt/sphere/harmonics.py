@@ -41,7 +41,7 @@ def orders(bandlimit: int) -> NDArray[np.int64]:
 
 @cache
 def legendre_factors(bandlimit: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Constants of the recurrence of `legendre_polynomials`: the start values at l = m, and a_lm, b_lm, indexed [l, m]."""
+    """Constants of the recurrence below: the start values at l = m, and a_lm, b_lm, indexed [l, m]."""
     l = np.arange(bandlimit + 1, dtype=np.float64)[:, None]
     m = np.arange(bandlimit + 1, dtype=np.float64)[None, :]
     with np.errstate(divide="ignore", invalid="ignore"):
