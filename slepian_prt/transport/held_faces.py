@@ -7,11 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, material_kind
+from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, MaterialTable
+from slepian_prt.scene.reflectance.path_effects import DIFFUSE, PATH_EFFECTS, path_effect
 from slepian_prt.scene.scene import Scene
 
-# Materials that do nothing but reflect diffusely.
-_DIFFUSE_ONLY = (PLAIN, LAMBERTIAN)
+# Effects that paths may go on by, in the order of the numbers that they have here, from 1 on.
+PATHS = (*PATH_EFFECTS, DIFFUSE)
 
 
 class Corners(NamedTuple):
@@ -32,16 +33,21 @@ class HeldFaces:
     """The faces of the receivers of a scene, and what vertices know of the light that they reflect.
 
     `slepian_prt.paths.tracer.PathTracer` ends paths on them.
+
+    Attributes
+    ----------
+    materials : list of Mitsuba BSDFs
+        Of the scene.
     """
 
     def __init__(self, scene: Scene) -> None:
         mi = scene.mi
         self._mi, self._scene = mi, scene
-        sizes = np.diff([*scene.first_faces, len(scene.faces)])
-        shapes = scene.shapes[: len(scene.parts)]
-        simple = np.array([material_kind(mi, shape.bsdf()) in _DIFFUSE_ONLY for shape in shapes])
-        self._simple = mi.Bool(np.repeat(simple, sizes))
-        self._black_behind = mi.Bool(np.repeat(~np.array(scene.two_sided), sizes))
+        self.materials = [node for node in mi.traverse(scene.geometry).hierarchy if isinstance(node, mi.BSDF)]
+        self._table = MaterialTable(mi, self.materials)
+        effects = [path_effect(mi, material) for material in self.materials]
+        numbers = [0 if effect is None else 1 + PATHS.index(effect) for effect in effects]
+        self._effects = self._table.by_number(self.materials, numbers)
         self._holds_back = mi.Bool(scene.faces_behind[:, 0] >= 0)
         self._corners, self._corners_behind = (
             [mi.UInt32(np.maximum(corners[:, i], 0).astype(np.uint32)) for i in range(3)]
@@ -74,16 +80,21 @@ class HeldFaces:
             albedo += weight * dr.gather(mi.Color3f, self._albedo, vertex, valid)
         return valid, dr.select(valid, albedo, 0.0)
 
-    def goes_on(self, ray: Any, hit: Any) -> Any:
-        """Bool, whether more comes back along rays than the sky, or what vertices hold of what they met."""
+    def first_met(self, ray: Any, hit: Any) -> Any:
+        """UInt32, by which of `PATHS` (from 1 on) more comes back along rays than the sky and what vertices hold.
+
+        0 where nothing more does. Of faces of receivers that only reflect diffusely nothing is followed, their backs,
+        where these are not held, neither.
+        """
         import drjit as dr
 
         mi = self._mi
-        face, front = self._side(ray, hit)
-        known = face >= 0
-        enough = front | dr.gather(mi.Bool, self._holds_back, face, known)
-        enough |= dr.gather(mi.Bool, self._black_behind, face, known)
-        return hit.is_valid() & ~(known & enough & dr.gather(mi.Bool, self._simple, face, known))
+        face, _ = self._side(ray, hit)
+        bsdf = hit.shape.bsdf()
+        effect = self._table.look_up(self._effects, bsdf, hit.is_valid(), 0)
+        kind = self._table.kind(bsdf, hit.is_valid())
+        diffuse = (kind == PLAIN) | (kind == LAMBERTIAN) | (effect == 1 + PATHS.index(DIFFUSE))
+        return dr.select((face >= 0) & diffuse, 0, effect)
 
     def corners(self, ray: Any, hit: Any, lanes: NDArray[np.int64]) -> Corners:
         """Where the rays of some ``lanes``, that ended on held faces, met them."""

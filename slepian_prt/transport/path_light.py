@@ -27,7 +27,7 @@ from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.rotation import rotation_to
 from slepian_prt.transport.estimator import overlapped
 from slepian_prt.transport.hemisphere import upload_frames, upload_origins
-from slepian_prt.transport.held_faces import Corners, HeldFaces
+from slepian_prt.transport.held_faces import PATHS, Corners, HeldFaces
 
 _RAYS_PER_BLOCK = 1 << 19
 
@@ -54,8 +54,8 @@ class Ends(NamedTuple):
     directions : (k, 3)
         In the world.
     throughput : (k, 3), held_throughput : (m, 3)
-    first, held_first : (k,), (m,)
-        What the paths met first: see `slepian_prt.paths.tracer`.
+    effects, held_effects : (k,), (m,)
+        By what the paths went on first: places in `PATHS`, from 1 on.
     corners : Corners
         Of the held faces.
     rays : int
@@ -66,27 +66,12 @@ class Ends(NamedTuple):
     lanes: NDArray[np.int64]
     directions: NDArray[np.float64]
     throughput: NDArray[np.float32]
-    first: NDArray[np.uint32]
+    effects: NDArray[np.uint32]
     held_lanes: NDArray[np.int64]
     held_throughput: NDArray[np.float32]
-    held_first: NDArray[np.uint32]
+    held_effects: NDArray[np.uint32]
     corners: Corners
     rays: int
-
-    def of(self, events: Iterable[int]) -> Ends:
-        """Those of the paths that first met something of these kinds."""
-        wanted = np.array(sorted(events), dtype=np.uint32)
-        escaped, held = np.isin(self.first, wanted), np.isin(self.held_first, wanted)
-        return self._replace(
-            lanes=self.lanes[escaped],
-            directions=self.directions[escaped],
-            throughput=self.throughput[escaped],
-            first=self.first[escaped],
-            held_lanes=self.held_lanes[held],
-            held_throughput=self.held_throughput[held],
-            held_first=self.held_first[held],
-            corners=Corners(self.corners.vertices[held], self.corners.weights[held]),
-        )
 
 
 class PathRays:
@@ -97,18 +82,18 @@ class PathRays:
     scene : Scene
     samples : int
         First directions of each receiver, an even number.
+    effects : iterable of str
+        Those of `PATHS` by which paths go on from what they meet first.
     seed : int
-
-    Attributes
-    ----------
-    has_media : bool
     """
 
-    def __init__(self, scene: Scene, samples: int, seed: int) -> None:
+    def __init__(self, scene: Scene, samples: int, effects: Iterable[str], seed: int) -> None:
+        mi = scene.mi
         self._scene, self._samples, self._seed = scene, samples, seed
         self._held = HeldFaces(scene)
-        self._tracer = PathTracer(scene.mi, scene.geometry, known=self._held)
-        self._sampler = scene.mi.load_dict({"type": "independent"})
+        self._tracer = PathTracer(mi, scene.geometry, self._held.materials, known=self._held)
+        self._sampler = mi.load_dict({"type": "independent"})
+        self._wanted = mi.Bool([False, *(effect in set(effects) for effect in PATHS)])
 
     def blocks(self, vertices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         """The receivers in blocks whose rays fit in memory; neighbours in space together."""
@@ -123,30 +108,31 @@ class PathRays:
         mi = self._scene.mi
         ray = self._first_rays(vertices)
         hit = self._scene.geometry.ray_intersect_preliminary(ray)
-        lane = dr.compress(self._held.goes_on(ray, hit))
-        lanes = np.array(lane, dtype=np.int64)
-        rays = vertices.size * self._samples
+        effect = self._held.first_met(ray, hit)
+        lane = dr.compress(dr.gather(mi.Bool, self._wanted, effect))
+        lanes, rays = np.array(lane, dtype=np.int64), vertices.size * self._samples
         if lanes.size == 0:
             return _nothing(vertices, self._samples, rays)
-        ray = mi.Ray3f(dr.gather(mi.Point3f, ray.o, lane), dr.gather(mi.Vector3f, ray.d, lane))
+        effect = np.array(effect)[lanes]
+        ray, hit = dr.gather(mi.Ray3f, ray, lane), dr.gather(mi.PreliminaryIntersection3f, hit, lane)
         seed = np.random.SeedSequence([self._seed, 1, int(vertices[0])]).generate_state(1)[0]
         self._sampler.seed(mi.UInt32(int(seed)), lanes.size)
-        ends = self._tracer.follow(self._sampler, ray, first_known=True)
-        escaped, held = np.array(ends.escaped), np.array(ends.held)
-        throughput, first = np.array(ends.throughput).T, np.array(ends.first)
-        out, on = np.flatnonzero(escaped), np.flatnonzero(held)
+        ends = self._tracer.follow(self._sampler, ray, hit=hit, first_known=True)
+        dr.eval(ends.escaped, ends.held, ends.throughput, ends.ray, ends.hit, ends.points)
+        out, on = np.flatnonzero(np.array(ends.escaped)), np.flatnonzero(np.array(ends.held))
+        throughput = np.array(ends.throughput).T
         return Ends(
             vertices,
             self._samples,
             lanes[out],
-            np.array(ends.direction).T[out].astype(np.float64),
+            np.array(ends.ray.d).T[out].astype(np.float64),
             throughput[out],
-            first[out],
+            effect[out],
             lanes[on],
             throughput[on],
-            first[on],
+            effect[on],
             self._held.corners(ends.ray, ends.hit, on),
-            rays + lanes.size,
+            rays + int(np.array(ends.points, dtype=np.int64).sum()),
         )
 
     def _first_rays(self, vertices: NDArray[np.int64]) -> Any:
@@ -195,7 +181,6 @@ class PathLight:
     received : (n,) float32
         What would come from surroundings that shine everywhere alike: the mean of the channels.
     rays : int
-        Traced at least: the first of each path, and the second of those that went on.
     """
 
     rows: NDArray[np.int64]
@@ -232,13 +217,13 @@ def trace_paths(
     scene: Scene,
     vertices: NDArray[np.int64],
     samples: int,
-    events: frozenset[int],
+    effects: Iterable[str],
     bandlimit: int,
     channels: int,
     seed: int,
     advance: Callable[[int], None] = lambda _: None,
 ) -> PathLight:
-    """What paths bring to ``vertices`` that first meet some kinds of things.
+    """What paths bring to ``vertices`` that go on by some effects.
 
     Parameters
     ----------
@@ -246,19 +231,19 @@ def trace_paths(
     vertices : (n,) indices
     samples : int
         First directions of each, an even number.
-    events : kinds of first events, see `slepian_prt.paths.tracer`
+    effects : iterable of str
+        Of `PATHS`.
     bandlimit : int
     channels : 1 (their mean stands for all) or 3
     seed : int
     advance : callable
         Given the number of vertices finished since its last call.
     """
-    rays = PathRays(scene, samples, seed)
+    rays = PathRays(scene, samples, effects, seed)
     blocks = rays.blocks(vertices)
     size = num_coefficients(bandlimit)
     result = _Sums(np.concatenate(blocks), len(scene.receivers), channels, size)
-    done = overlapped(blocks, lambda block: rays.trace(block).of(events), lambda ends: result.add(ends, bandlimit))
-    for count in done:
+    for count in overlapped(blocks, rays.trace, lambda ends: result.add(ends, bandlimit)):
         advance(count)
     return result.finished()
 

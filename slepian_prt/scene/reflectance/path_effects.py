@@ -9,7 +9,7 @@ from slepian_prt.scene.reflectance.bsdf_parts import all_bsdfs
 # By what a path meets first; of a material that does several of these, the first in this list counts.
 PATH_EFFECTS = ("media", "opacity", "glass", "transmission", "mirrors", "gloss")
 
-# Of shapes that hold no light because they have no vertices.
+# What is left: diffuse reflection, where paths meet it on shapes that hold no light because they have no vertices.
 DIFFUSE = "diffuse"
 
 _GLASS = ("SmoothDielectric", "ThinDielectric", "RoughDielectric")
