@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,12 +11,29 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
+from slepian_prt.scene.reflectance.path_effects import PATH_EFFECTS
 from slepian_prt.scene.view import View
 
-__all__ = ["GATHERED", "NOT_SIMULATED", "OMITTED", "SIMULATED", "Effect", "Plan", "wanted_effects"]
+__all__ = [
+    "GATHERED",
+    "NOT_SIMULATED",
+    "OMITTED",
+    "SIMULATED",
+    "TOLERANCE",
+    "Effect",
+    "Estimate",
+    "PathPlan",
+    "Plan",
+    "wanted_effects",
+]
 
 SIMULATED, OMITTED = "simulated", "omitted"
-EFFECTS = ("shadows", "interreflection", "colour")
+EFFECTS = ("shadows", "interreflection", "colour", *PATH_EFFECTS)
+
+# An effect that changes less than this part of the received light is left out.
+TOLERANCE = 0.005
+
+_CONFIDENCE = 1.96  # standard errors to either side: 95 %
 
 # What `wanted_effects` takes beside lists of effects.
 _PRESETS: dict[str, frozenset[str] | None] = {
@@ -24,6 +42,31 @@ _PRESETS: dict[str, frozenset[str] | None] = {
     "all": frozenset(EFFECTS),
     "none": frozenset(),
 }
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A mean over the surface with the half-width of its 95 % confidence interval."""
+
+    mean: float = 0.0
+    half_width: float = 0.0
+
+    @classmethod
+    def of(cls, values: NDArray, share: float) -> Estimate:
+        """From values at a random pilot of the vertices that make up ``share`` of all; they are 0 at the others."""
+        if values.size == 0:
+            return cls()
+        return cls(share * float(values.mean()), share * _CONFIDENCE * float(values.std()) / math.sqrt(values.size))
+
+
+def part_of_light(most: Estimate, blocked: Estimate) -> Estimate:
+    """What part of all light comes so, if ``most`` does at most, and the sky is ``blocked`` to a part."""
+    direct = 1.0 - blocked.mean
+    if most.mean <= 0.0:
+        return Estimate()
+    whole = most.mean + direct
+    half_width = (direct * most.half_width + most.mean * blocked.half_width) / whole**2
+    return Estimate(most.mean / whole, half_width)
 
 
 @dataclass(frozen=True)
@@ -61,6 +104,25 @@ class Effect:
 
 
 @dataclass(frozen=True, eq=False)
+class PathPlan:
+    """Paths to follow from where rays of receivers meet what vertices do not hold.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        By which they go on first; of `slepian_prt.transport.held_faces.PATHS`.
+    receivers : (n,)
+        That such things are before.
+    samples : int
+        First directions of each, an even number.
+    """
+
+    effects: tuple[str, ...]
+    receivers: NDArray[np.int64]
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """What to simulate.
 
@@ -79,6 +141,8 @@ class Plan:
         Of diffuse transfer.
     view : View or None
         The camera toward which all materials are simulated; None for diffuse transfer, which is the same to all sides.
+    paths : PathPlan or None
+        By way of mirrors, glass and the like.
     """
 
     effects: tuple[Effect, ...]
@@ -88,6 +152,7 @@ class Plan:
     interreflection: bool
     channels: int
     view: View | None
+    paths: PathPlan | None = None
 
     @property
     def shadows(self) -> Effect:
@@ -116,7 +181,8 @@ def wanted_effects(effects: str) -> frozenset[str] | None:
             f"effects must be auto, direct, all, none, or some of {', '.join(EFFECTS)} with commas between; not "
             f"{effects!r}"
         )
-    for name, needed in (("interreflection", "shadows"), ("colour", "interreflection")):
+    needs = {"interreflection": "shadows", "colour": "interreflection", **dict.fromkeys(PATH_EFFECTS, "shadows")}
+    for name, needed in needs.items():
         if name in names and needed not in names:
             raise UserError(f"effects: {name} needs {needed}; add it, as in `effects={needed},{','.join(names)}`")
     return frozenset(names)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.transport.interior import InteriorVertices
-from slepian_prt.transport.interreflection import Gather, count_bounces
+from slepian_prt.transport.interreflection import Exchange, count_bounces
 from slepian_prt.transport.lamp_light import LampTracer
 from slepian_prt.transport.planned import PlannedScene
 
@@ -59,7 +59,7 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
 
 
 def bounced_light(
-    gather: Gather,
+    gather: Exchange,
     albedo: NDArray,
     direct: NDArray[np.float32],
     channels: int,
@@ -69,7 +69,7 @@ def bounced_light(
 
     Parameters
     ----------
-    gather : Gather
+    gather : Gather, or another exchange of light
     albedo : (V, 3)
     direct : (n, V, 3)
         For unit albedo.
@@ -84,7 +84,7 @@ def bounced_light(
         reflectance = (albedo.mean(axis=1) if channels == 1 else albedo[:, channel]).astype(np.float32)
         light = np.ascontiguousarray(direct[:, :, channel].T)
         for _ in range(bounces):
-            light = gather.reflected(reflectance, light)
+            light = gather.reflected(reflectance, light, channel)
             bounced[:, :, channel] += light.T
     return bounced
 

@@ -58,6 +58,8 @@ class Ends(NamedTuple):
         By what the paths went on first: places in `PATHS`, from 1 on.
     corners : Corners
         Of the held faces.
+    further : (len(PATHS),)
+        Rays beyond the first ones, by effect.
     rays : int
     """
 
@@ -71,6 +73,7 @@ class Ends(NamedTuple):
     held_throughput: NDArray[np.float32]
     held_effects: NDArray[np.uint32]
     corners: Corners
+    further: NDArray[np.int64]
     rays: int
 
 
@@ -121,6 +124,7 @@ class PathRays:
         dr.eval(ends.escaped, ends.held, ends.throughput, ends.ray, ends.hit, ends.points)
         out, on = np.flatnonzero(np.array(ends.escaped)), np.flatnonzero(np.array(ends.held))
         throughput = np.array(ends.throughput).T
+        further = np.bincount(effect, np.array(ends.points), minlength=1 + len(PATHS))[1:].astype(np.int64)
         return Ends(
             vertices,
             self._samples,
@@ -132,7 +136,8 @@ class PathRays:
             throughput[on],
             effect[on],
             self._held.corners(ends.ray, ends.hit, on),
-            rays + int(np.array(ends.points, dtype=np.int64).sum()),
+            further,
+            rays + int(further.sum()),
         )
 
     def _first_rays(self, vertices: NDArray[np.int64]) -> Any:
@@ -159,7 +164,8 @@ def _nothing(vertices: NDArray[np.int64], samples: int, rays: int) -> Ends:
     """A block whose first rays meet nothing to go on from."""
     lanes, directions, colours = np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3), np.float32)
     first, corners = np.zeros(0, np.uint32), Corners(np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32))
-    return Ends(vertices, samples, lanes, directions, colours, first, lanes, colours, first, corners, rays)
+    further = np.zeros(len(PATHS), np.int64)
+    return Ends(vertices, samples, lanes, directions, colours, first, lanes, colours, first, corners, further, rays)
 
 
 @dataclass(frozen=True, eq=False)

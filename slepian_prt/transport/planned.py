@@ -72,7 +72,7 @@ def plan_scene(
         if not opened.receivers.active.any():
             raise UserError(f"{opened.path}: no face can be lit; export the mesh again")
         clock.stop("load")
-        survey = Survey.of(opened, settings.seed)
+        survey = Survey.of(opened, settings.seed, paths=settings.view is None)
         view = opened.view if settings.view is not None else None
         found = replace(find_lamps(opened, settings.seed), wanted=lamps)
         plan = survey.plan(settings.bandlimit, settings.samples, settings.effects, view)
@@ -114,7 +114,7 @@ class PlannedScene:
     @property
     def by_blocks(self) -> bool:
         """Whether receivers do not depend on each other, so that transfer need not be held all at once."""
-        return self.plan.view is None and not self.plan.interreflection
+        return self.plan.view is None and not self.plan.interreflection and self.plan.paths is None
 
     def estimator(self) -> Estimator[Any]:
         """What fills blocks of transfer vectors as planned, but for light between surfaces."""

@@ -14,36 +14,28 @@ from slepian_prt.scene.view import View
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 from slepian_prt.transport.directions import direction_set
-from slepian_prt.transport.effects import NOT_SIMULATED, OMITTED, SIMULATED, Effect, Plan, wanted_effects
+from slepian_prt.transport.effects import (
+    NOT_SIMULATED,
+    OMITTED,
+    SIMULATED,
+    TOLERANCE,
+    Effect,
+    Estimate,
+    Plan,
+    part_of_light,
+    wanted_effects,
+)
 from slepian_prt.transport.interpolation import interpolation_error
 from slepian_prt.transport.interreflection import GATHER_SHARE, gather_operator
 from slepian_prt.transport.occlusion import OcclusionTables
+from slepian_prt.transport.path_plan import PathPilot, decide, look_at_paths
 from slepian_prt.transport.visibility import VisibilitySamples, VisibilityTracer, nodes_for, shadowed_vertices
-
-# An effect that changes less than this part of the received light is left out.
-TOLERANCE = 0.005
 
 # Interpolation between vertices is worth a remark from this error on.
 _BETWEEN = 0.05
 
 _PILOT_VERTICES = 256
 _PILOT_NODES = 256
-_CONFIDENCE = 1.96  # standard errors to either side: 95 %
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A mean over the surface with the half-width of its 95 % confidence interval."""
-
-    mean: float = 0.0
-    half_width: float = 0.0
-
-    @classmethod
-    def of(cls, values: NDArray, share: float) -> Estimate:
-        """From values at a random pilot of the vertices that make up ``share`` of all; they are 0 at the others."""
-        if values.size == 0:
-            return cls()
-        return cls(share * float(values.mean()), share * _CONFIDENCE * float(values.std()) / math.sqrt(values.size))
 
 
 @dataclass(frozen=True)
@@ -84,19 +76,24 @@ class Survey:
     receivers, possible : indices of vertices
         That light can reach, and those of them that something reaches above the tangent plane of.
     pilot : PilotVisibility
+    paths : PathPilot
+        What comes by way of mirrors, glass and the like.
     """
 
     scene: Scene
     receivers: NDArray[np.int64]
     possible: NDArray[np.int64]
     pilot: PilotVisibility
+    paths: PathPilot
 
     @classmethod
-    def of(cls, scene: Scene, seed: int = 0) -> Survey:
-        """Look at a scene; the pilot is chosen at random by ``seed``."""
+    def of(cls, scene: Scene, seed: int = 0, *, paths: bool = True) -> Survey:
+        """Look at a scene; the pilot is chosen at random by ``seed``. Toward a camera no ``paths`` are looked at."""
         receivers = np.flatnonzero(scene.receivers.active)
         possible = np.flatnonzero(shadowed_vertices(scene))
-        return cls(scene, receivers, possible, _trace_pilot(scene, possible, receivers.size, seed))
+        pilot = _trace_pilot(scene, possible, receivers.size, seed)
+        found = look_at_paths(scene, possible, receivers.size, seed) if paths else PathPilot.none()
+        return cls(scene, receivers, possible, pilot, found)
 
     def nodes(self, samples: float) -> int:
         """Directions that a vertex looks in at first, so that it takes ``samples`` rays on average."""
@@ -133,11 +130,12 @@ class _Decisions:
         shadows, shadowed = self._shadows()
         interreflection = self._interreflection()
         bounces = interreflection.verdict == SIMULATED
-        rows, channels = [shadows, interreflection], 1
+        paths, path_plan = decide(self._survey.paths, self._pilot.blocked, self._effects, self._samples)
+        rows, channels = [shadows, interreflection, *paths], 1
         if self._view is not None:
             rows.insert(1, self._toward_view(self._view))
         else:
-            colour = self._colour(bounces)
+            colour = self._colour(bounces, () if path_plan is None else path_plan.effects)
             channels = 3 if colour.verdict == SIMULATED else 1
             rows += [colour, self._tail()]
         if bounces and self._pilot.backs > TOLERANCE:
@@ -148,7 +146,7 @@ class _Decisions:
         rows += [Effect(row.name, row.verdict, row.share, None, 0, row.reason) for row in self._scene.not_simulated]
         estimator = "direct" if self._view is None else "view"
         nodes = self._survey.nodes(self._samples)
-        return Plan(tuple(rows), estimator, shadowed, nodes, bounces, channels, self._view)
+        return Plan(tuple(rows), estimator, shadowed, nodes, bounces, channels, self._view, path_plan)
 
     def _is_forced(self, effect: str) -> bool:
         return self._wanted is not None and effect in self._wanted
@@ -177,11 +175,9 @@ class _Decisions:
     def _interreflection(self) -> Effect:
         """Radiance never exceeds that of a constant environment, so indirect light is at most what is seen, times ρ."""
         pilot = self._pilot
-        direct, most = 1.0 - pilot.blocked.mean, pilot.reflecting.mean
-        bound = half_width = 0.0
-        if most > 0.0:
-            bound = most / (most + direct)
-            half_width = (direct * pilot.reflecting.half_width + most * pilot.blocked.half_width) / (most + direct) ** 2
+        most = pilot.reflecting.mean
+        part = part_of_light(pilot.reflecting, pilot.blocked)
+        bound, half_width = part.mean, part.half_width
         rays = round(self._survey.possible.size * max(1.0, GATHER_SHARE * self._samples))
 
         def row(verdict: str, reason: str) -> Effect:
@@ -204,13 +200,14 @@ class _Decisions:
             return row(OMITTED, f"at most {bound + half_width:.1%} of the light")
         return row(SIMULATED, "blocked directions see surfaces that reflect; the contribution is a bound")
 
-    def _colour(self, bounces: bool) -> Effect:
-        tint = self._pilot.tint
+    def _colour(self, bounces: bool, paths: tuple[str, ...]) -> Effect:
+        tint, brought = self._pilot.tint, self._survey.paths.tint(paths)
+        tint = Estimate(tint.mean + brought.mean, tint.half_width + brought.half_width) if paths else tint
 
         def row(verdict: str, reason: str) -> Effect:
             return Effect("colour", verdict, tint.mean, tint.half_width, 0, reason)
 
-        if not bounces:
+        if not bounces and not paths:
             reason = "direct light: one channel, the albedo applied when relighting"
             return Effect("colour", OMITTED, 0.0, 0.0, 0, reason)
         if self._is_forced("colour"):
@@ -218,7 +215,7 @@ class _Decisions:
         if self._is_unwanted("colour"):
             return row(OMITTED, f"not asked for (`effects={self._effects}`); their mean stands for all")
         gray = bool(np.ptp(self._scene.receivers.albedo, axis=1).max(initial=0.0) == 0.0)
-        if gray or tint.mean + tint.half_width < TOLERANCE:
+        if (gray and brought.mean == 0.0) or tint.mean + tint.half_width < TOLERANCE:
             return row(OMITTED, "surfaces reflect all channels alike onto each other: one channel")
         return row(SIMULATED, "surfaces of different colours light each other: three channels")
 

@@ -18,10 +18,10 @@ from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import SIMULATED, Effect
-from slepian_prt.transport.fixed_lights import bounced_light, direct_fixed_lights
+from slepian_prt.transport.exchange import exchange_light
+from slepian_prt.transport.fixed_lights import direct_fixed_lights
 from slepian_prt.transport.glossy import merge_equal_channels
-from slepian_prt.transport.interior import InteriorVertices, find_interior
-from slepian_prt.transport.interreflection import GATHER_SHARE, add_bounces, count_bounces, gather_operator
+from slepian_prt.transport.interior import find_interior
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 
@@ -63,6 +63,8 @@ class Transfer(Summarised):
         Whether ``vectors`` hold the light that all materials send toward that camera, reflectance included.
     fixed : FixedLights or None
         What the scene's lamps send, where it has any.
+    noise : float or None
+        Relative RMS noise of ``vectors``, where paths were followed.
     """
 
     vectors: NDArray[np.float32]
@@ -82,6 +84,7 @@ class Transfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     fixed: FixedLights | None = None
+    noise: float | None = None
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -206,6 +209,7 @@ def compute_transfer(
     scene, plan, settings = planned.scene, planned.plan, planned.settings
     receivers, mesh = scene.receivers, scene.mesh
     total = len(receivers) + (plan.shadowed.size if plan.interreflection else 0)
+    total += plan.paths.receivers.size if plan.paths is not None else 0
 
     def report(done: int) -> None:
         advance(done, total)
@@ -222,11 +226,11 @@ def compute_transfer(
     if fixed is not None:
         planned.clock.stop("fixed lights")
     rays += fixed_rays
-    bounces = 0
-    if plan.interreflection:
-        vectors, fixed, bounces, gathered = _reflect(planned, vectors, fixed, blocked, interior, report)
-        rays += gathered
-        planned.clock.stop("interreflection")
+    bounces, noise = 0, None
+    if plan.interreflection or plan.paths is not None:
+        exchanged = exchange_light(planned, vectors, fixed, blocked, interior, report)
+        vectors, fixed, bounces, noise = exchanged.vectors, exchanged.fixed, exchanged.bounces, exchanged.noise
+        rays += exchanged.rays
     if plan.view is not None:
         mesh = replace(mesh, albedo=np.ones_like(mesh.albedo))  # the reflectance is in the vectors
     return Transfer(
@@ -247,31 +251,5 @@ def compute_transfer(
         view=scene.view,
         toward_view=plan.view is not None,
         fixed=fixed,
+        noise=noise,
     )
-
-
-def _reflect(
-    planned: PlannedScene,
-    vectors: NDArray[np.float32],
-    fixed: FixedLights | None,
-    blocked: NDArray[np.float32],
-    interior: InteriorVertices,
-    report: Callable[[int], None],
-) -> tuple[NDArray[np.float32], FixedLights | None, int, int]:
-    """Vectors and light of lamps with what surfaces reflect onto each other; the number of bounces, and of rays."""
-    scene, plan, settings = planned.scene, planned.plan, planned.settings
-    receivers = scene.receivers
-    nodes = max(1, round(GATHER_SHARE * settings.samples))
-    gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
-    if settings.bounces is not None:
-        bounces = settings.bounces
-    else:
-        bounces = count_bounces(gather, receivers.albedo, np.where(receivers.active, 1.0 - blocked, 0.0))
-    vectors = add_bounces(gather, receivers.albedo, vectors[:, 0], plan.channels, bounces)
-    interior.fill(vectors)
-    if fixed is not None:
-        bounced = bounced_light(gather, receivers.albedo, fixed.direct, plan.channels, settings.bounces)
-        for light in bounced:
-            interior.fill(light)
-        fixed = replace(fixed, bounced=bounced)
-    return vectors, fixed, bounces, gather.rays

@@ -130,7 +130,7 @@ def effects_left_out(mi: Any, outcomes: Sequence[ShapeOutcome], *, view: bool) -
     rows += _texture_rows(shapes, verdict)
     rows += _leaning_rows(shapes)
     rows += _without_light(mi, shapes, whole, view=view)
-    if len(shapes) > 1:
+    if view and len(shapes) > 1:  # else they have rows by effect, with what they contribute
         sending = [shape for shape in shapes if {"gloss", "mirror"} & shape.effects.keys()]
         if sending:
             reason = "light between surfaces is diffuse: no caustics, nothing that mirrors and metals throw on a floor"

@@ -1,0 +1,197 @@
+"""Light that receivers get from each other: what surfaces reflect, and what paths by way of others bring.
+
+T = T₀ + E + (R + S) diag(ρ) T, by its Neumann series: R of `interreflection`, E and S of `path_light`.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.transport.fixed_lights import bounced_light
+from slepian_prt.transport.interior import InteriorVertices
+from slepian_prt.transport.interreflection import (
+    GATHER_SHARE,
+    Exchange,
+    Gather,
+    add_bounces,
+    count_bounces,
+    gather_operator,
+)
+from slepian_prt.transport.path_light import PathLight, trace_paths
+from slepian_prt.transport.planned import PlannedScene
+
+log = logging.getLogger(__name__)
+
+_WHITE = math.sqrt(4.0 * math.pi)
+
+# More light than comes in, in the mean and beyond noise, is worth a remark from this part on.
+_TOO_BRIGHT = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """R + S.
+
+    Attributes
+    ----------
+    gather : Gather or None
+    paths : PathLight
+    """
+
+    gather: Gather | None
+    paths: PathLight
+
+    def reflected(self, albedo: NDArray, values: NDArray, channel: int = 0) -> NDArray[np.float32]:
+        """(V, k) light received from surfaces of one channel's ``albedo`` (V,) that shine by ``values`` (V, k)."""
+        brought = self.paths.reflected(albedo, values, channel)
+        return brought if self.gather is None else self.gather.reflected(albedo, values) + brought
+
+
+class Exchanged(NamedTuple):
+    """What receivers get from each other, added to what they get directly.
+
+    Attributes
+    ----------
+    vectors : (V, channels, (L+1)²) float32
+    fixed : FixedLights or None
+    bounces : int
+    rays : int
+    noise : float or None
+        Relative RMS noise of ``vectors``; None where nothing is random.
+    """
+
+    vectors: NDArray[np.float32]
+    fixed: FixedLights | None
+    bounces: int
+    rays: int
+    noise: float | None
+
+
+def exchange_light(
+    planned: PlannedScene,
+    vectors: NDArray[np.float32],
+    fixed: FixedLights | None,
+    blocked: NDArray[np.float32],
+    interior: InteriorVertices,
+    report: Callable[[int], None],
+) -> Exchanged:
+    """Add what receivers get from each other.
+
+    Parameters
+    ----------
+    planned : PlannedScene
+    vectors : (V, 1, (L+1)²) float32
+        Direct transfer; its memory may become the result's.
+    fixed : FixedLights or None
+        Direct light of lamps.
+    blocked : (V,)
+        Part of each hemisphere that shows no sky.
+    interior : InteriorVertices
+    report : callable
+        Given the number of vertices finished since its last call.
+    """
+    scene, plan, settings = planned.scene, planned.plan, planned.settings
+    gather = paths = None
+    if plan.interreflection:
+        nodes = max(1, round(GATHER_SHARE * settings.samples))
+        gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
+        planned.clock.stop("interreflection")
+    if plan.paths is not None:
+        wanted = plan.paths
+        paths = trace_paths(
+            scene, wanted.receivers, wanted.samples, wanted.effects, settings.bandlimit, plan.channels, settings.seed,
+            report,
+        )  # fmt: skip
+        _remark_on_energy(planned, paths)
+        planned.clock.stop("paths")
+    return _Solver(planned, gather, paths, blocked, interior).solve(vectors, fixed)
+
+
+class _Solver:
+    """The series, for what is known to be exchanged."""
+
+    def __init__(
+        self,
+        planned: PlannedScene,
+        gather: Gather | None,
+        paths: PathLight | None,
+        blocked: NDArray[np.float32],
+        interior: InteriorVertices,
+    ) -> None:
+        self._planned, self._gather, self._paths = planned, gather, paths
+        self._blocked, self._interior = blocked, interior
+        exchange = gather if paths is None else Together(gather, paths)
+        assert exchange is not None
+        self._exchange: Exchange = exchange
+        self._albedo = planned.scene.receivers.albedo
+        self._channels = planned.plan.channels
+
+    def solve(self, vectors: NDArray[np.float32], fixed: FixedLights | None) -> Exchanged:
+        settings, interior, paths = self._planned.settings, self._interior, self._paths
+        bounces = self._likely_bounces() if settings.bounces is None else settings.bounces
+        source = None if paths is None else self._source
+        vectors = add_bounces(self._exchange, self._albedo, vectors[:, 0], self._channels, bounces, source)
+        interior.fill(vectors)
+        if fixed is not None:
+            bounced = bounced_light(self._exchange, self._albedo, fixed.direct, self._channels, settings.bounces)
+            for light in bounced:
+                interior.fill(light)
+            fixed = replace(fixed, bounced=bounced)
+        rays = sum(part.rays for part in (self._gather, paths) if part is not None)
+        self._planned.clock.stop("bounces" if paths is not None else "interreflection")
+        return Exchanged(vectors, fixed, bounces, rays, None if paths is None else self._noise(vectors, bounces))
+
+    def _source(self, channel: int, columns: slice) -> NDArray[np.float32]:
+        """What paths bring from the sky; vertices inside other geometry get what those before it get."""
+        assert self._paths is not None
+        light = self._paths.source(len(self._albedo), channel, columns)
+        self._interior.fill(light)
+        return light
+
+    def _likely_bounces(self) -> int:
+        active = self._planned.scene.receivers.active
+        ambient = np.where(active, 1.0 - self._blocked, 0.0)
+        if self._paths is None:
+            return count_bounces(self._exchange, self._albedo, ambient)
+        channels = range(self._channels)
+        columns = [self._albedo.mean(axis=1, keepdims=True)] if self._channels == 1 else self._albedo.T[:, :, None]
+        counts = []
+        for channel in channels:
+            first = self._source(channel, slice(0, 1))[:, 0] * _WHITE
+            counts.append(count_bounces(self._exchange, columns[channel], ambient + first, channel))
+        return max(counts)
+
+    def _noise(self, vectors: NDArray[np.float32], bounces: int) -> float:
+        """Relative RMS of what the two halves of the paths differ by."""
+        assert self._paths is not None
+        squares = 0.0
+        for channel in range(self._channels):
+            error = self._paths.escaped_error[:, channel].astype(np.float32, copy=True)
+            if bounces > 0:
+                albedo = self._albedo.mean(axis=1) if self._channels == 1 else self._albedo[:, channel]
+                error += self._paths.error(albedo.astype(np.float32), vectors[:, channel], channel)
+            squares += float(np.sum(error.astype(np.float64) ** 2))
+        whole = float(np.sum(vectors.astype(np.float64) ** 2))
+        return math.sqrt(squares / whole) if whole > 0.0 else 0.0
+
+
+def _remark_on_energy(planned: PlannedScene, paths: PathLight) -> None:
+    """Say so if paths bring more light than there is, as by materials that reflect more than they get."""
+    seen = paths.received.astype(np.float64)
+    over = seen - 1.0 - 4.0 * seen.std() / math.sqrt(max(seen.size, 1))
+    if over.max(initial=0.0) > _TOO_BRIGHT and np.mean(over > 0.0) > 0.0:
+        log.info(
+            "%s: paths by way of %s bring up to %.2f times the light that falls in; a material reflects more than it "
+            "gets: correct it",
+            planned.scene.path,
+            ", ".join(planned.plan.paths.effects) if planned.plan.paths is not None else "surfaces",
+            float(seen.max()),
+        )
