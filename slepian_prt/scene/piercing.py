@@ -5,7 +5,7 @@ under a sheet they see the sky from below, and the triangles that reach up throu
 sees the vertices themselves: they take what their neighbours on the other side of the floor receive.
 
 Not so where a surface goes on to the other side around what divides it, as a wall does around an awning, nor where
-sheets cross, as those of a plant do: both sides of these are seen.
+sheets cross, as those of a plant do, nor where light comes through what divides it: both sides of these are seen.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def find_pierced(scene: Scene) -> NDArray[np.integer]:
         ends, above = ends[blocked], above[blocked]
         for begin, end in ((0, 1), (1, 0)):
             met = met_faces(scene, above[:, begin], above[:, end])
-            known = met >= 0
+            known = (met >= 0) & ~scene.passes_light[np.maximum(met, 0)]
             met, pair = met[known], ends[known][:, [begin, end]]
             way = (above[:, end] - above[:, begin])[known]
             starts_behind, near = _place_behind(scene, met, pair[:, 0])

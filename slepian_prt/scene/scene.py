@@ -18,6 +18,7 @@ from slepian_prt.scene.mitsuba.ids import load_keeping_ids
 from slepian_prt.scene.piercing import find_pierced
 from slepian_prt.scene.ray_origins import RayOrigins, find_ray_origins
 from slepian_prt.scene.receivers import Receivers
+from slepian_prt.scene.reflectance.path_effects import passes_light
 from slepian_prt.scene.surroundings import Surroundings, ray_heights
 from slepian_prt.scene.view import View
 
@@ -155,8 +156,18 @@ class Scene:
         """Rows of ``faces`` that rays met (a preliminary intersection); negative for occluders and the sky."""
         return self.face_table.met(hit)
 
+    @cached_property
+    def passes_light(self) -> NDArray[np.bool_]:
+        """(F',) whether light comes through the material of each of ``faces``, as of leaves and of holes in masks."""
+        sizes = np.diff([*self.first_faces, len(self.faces)])
+        receiving = self.shapes[: len(self.parts)]
+        return np.repeat([passes_light(self.mi, shape.bsdf()) for shape in receiving], sizes)
+
     def meets_dark_back(self, ray: Any, hit: Any) -> Any:
-        """Whether rays met the back of a surface (a preliminary intersection), and none that light is computed on."""
+        """Whether rays met the back of a surface (a preliminary intersection) that is dark: none comes through it.
+
+        Nor is light computed on it.
+        """
         import drjit as dr
 
         face = self.hit_faces(hit)
@@ -164,8 +175,14 @@ class Scene:
         if any(part.sides == 2 for part in self.parts):
             holds_light = self.mi.Bool(self.faces_behind[:, 0] >= 0)
             back &= ~dr.gather(self.mi.Bool, holds_light, face, face >= 0)
+        if self.passes_light.any():
+            back &= ~dr.gather(self.mi.Bool, self.mi.Bool(self.passes_light), face, face >= 0)
         # Instances are not asked: each would have all shapes traced.
-        others = [shape for shape in self.occluders if shape.class_name() != "Instance"]
+        others = [
+            shape
+            for shape in self.occluders
+            if shape.class_name() != "Instance" and not passes_light(self.mi, shape.bsdf())
+        ]
         return back | (dr.dot(interactions(self.mi, others, ray, hit, self.mi.RayFlags.Minimal).n, ray.d) > 0.0)
 
     @property

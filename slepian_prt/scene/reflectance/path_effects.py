@@ -41,3 +41,8 @@ def path_effect(mi: Any, bsdf: Any) -> str | None:
     if has(bsdf, *glossy):
         return "mirrors" if kinds & set(_MIRRORS) else "gloss"
     return DIFFUSE if has(bsdf, flags.DiffuseReflection) else None
+
+
+def passes_light(mi: Any, bsdf: Any) -> bool:
+    """Whether light comes through the material, so that to be behind it is not to be inside something."""
+    return path_effect(mi, bsdf) in ("opacity", "glass", "transmission")
