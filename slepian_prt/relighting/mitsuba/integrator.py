@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
+from slepian_prt.paths.media import Media, media_of
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
 from slepian_prt.relighting.mitsuba.gathering import Gatherer
@@ -19,7 +20,6 @@ from slepian_prt.relighting.mitsuba.lamps import Lamps
 from slepian_prt.relighting.mitsuba.lobes import LAMBERTIAN, PLAIN, Lobes, material_kind
 from slepian_prt.relighting.mitsuba.recording import without_collection
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
-from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.renderer.variants import imported_mitsuba
 
 NAME = "slepian_prt"
@@ -87,7 +87,7 @@ def _plugin_class(mi: Any) -> Any:
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             try:
                 with without_collection():
-                    return self.integrator.sample(scene, sampler, ray, active, self.skip_area_emitters)
+                    return self.integrator.sample(scene, sampler, ray, medium, active, self.skip_area_emitters)
             except UserError as error:
                 log_warning(mi, str(error))  # `mi.render` raises an error of its own that does not say what is wrong
                 raise
@@ -194,7 +194,7 @@ class SlepianIntegrator:
             transfer.check_albedo()
 
     def sample(
-        self, scene: Any, sampler: Any, ray: Any, active: Any, skip_emitters: Callable[..., Any]
+        self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any, skip_emitters: Callable[..., Any]
     ) -> tuple[Any, Any, list]:
         """Radiance along camera rays: spectrum, whether it is valid, and no AOVs.
 
@@ -222,8 +222,10 @@ class SlepianIntegrator:
         if self._gatherer is not None:
             with dr.suspend_grad():
                 more = self._gatherer.adds_to(material) & met
+                if medium is not None:  # all that comes through it is gathered
+                    more, L = active & (self._max_depth != 0), mi.UnpolarizedSpectrum(0.0)
                 gathered, through = self._gatherer.gather(
-                    scene, sampler, ray, hit, hide_emitters=self._hide_emitters, active=more
+                    scene, sampler, ray, hit, medium=medium, hide_emitters=self._hide_emitters, active=more
                 )
             L, covered = dr.select(more, L + gathered, L), dr.select(more, through, covered)
         return without_polarization(mi, L), covered, []
@@ -267,18 +269,15 @@ class SlepianIntegrator:
             return
         materials = [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.BSDF)]
         self._lobes = Lobes(mi, materials, self._albedo, self._spectra)
-        lamps = Lamps(mi, scene)
+        media = Media(mi, media_of(mi, scene))
+        lamps = Lamps(mi, scene, media)
         self._gatherer = None
-        if self._calls_for_gathering(scene, lamps):
+        if media.present or self._calls_for_gathering(scene, lamps):
             self._gatherer = Gatherer(
-                mi, self._cache, self._lobes, lamps, fixed_lights=self._fixed_lights,
+                mi, self._cache, self._lobes, lamps, media, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
         texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]
-        shapes = enumerate(scene.shapes())
-        media = [f"'{shape_name(shape, index)}'" for index, shape in shapes if shape.is_medium_transition()]
-        if media:
-            texts.append(f"participating media are not drawn: those of shapes {', '.join(media)}")
         for text in texts:
             if text not in self._warnings:  # shapes that move are matched again for every picture
                 self._warnings.add(text)
