@@ -1,1 +1,1 @@
-"""How light is followed through a Mitsuba scene: materials, media, and paths from receivers to the distant light."""
+"""How light is followed through a scene of Mitsuba."""

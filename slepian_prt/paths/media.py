@@ -61,7 +61,12 @@ class Media:
         self._mi = mi
         known = list(media)
         self.present = bool(known)
+        self._known = {medium.ptr for medium in known}
         self._vary = not all(medium.is_homogeneous() for medium in known)
+
+    def know(self, medium: Any) -> bool:
+        """Whether a Mitsuba medium is one of them; None is."""
+        return medium is None or medium.ptr in self._known
 
     # --- Along a ray -----------------------------------------------------------------------------------------------
 
@@ -255,13 +260,8 @@ class Media:
 
 
 def media_of(mi: Any, scene: Any) -> list[Any]:
-    """The participating media of a Mitsuba scene: those beside its surfaces, and those that its cameras are in."""
-    media = {node.ptr: node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.Medium)}
-    for sensor in scene.sensors():
-        medium = sensor.medium()
-        if medium is not None:
-            media[medium.ptr] = medium
-    return list(media.values())
+    """The participating media of a Mitsuba scene, on both sides of its surfaces and around its cameras."""
+    return [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.Medium)]
 
 
 def medium_at(mi: Any, scene: Any, points: Any) -> Any:

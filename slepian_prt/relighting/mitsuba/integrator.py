@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
+from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, material_kind
 from slepian_prt.paths.media import Media, media_of
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
 from slepian_prt.relighting.mitsuba.gathering import Gatherer
 from slepian_prt.relighting.mitsuba.held_files import held_file, is_in_memory
 from slepian_prt.relighting.mitsuba.lamps import Lamps
-from slepian_prt.relighting.mitsuba.lobes import LAMBERTIAN, PLAIN, Lobes, material_kind
+from slepian_prt.relighting.mitsuba.lobes import Lobes
 from slepian_prt.relighting.mitsuba.recording import without_collection
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
 from slepian_prt.renderer.variants import imported_mitsuba
@@ -176,6 +177,7 @@ class SlepianIntegrator:
         self._cache = RadianceCache(mi, list(self._transfers.values()))
         self._spectra = smooth_spectra(mi).tolist() if mi.is_spectral else None
         self._lobes: Any = None
+        self._media: Media | None = None
         self._gatherer: Any = None  # None where nothing calls for it
         self._warnings: set[str] = set()  # that were made
 
@@ -205,7 +207,7 @@ class SlepianIntegrator:
         import drjit as dr
 
         mi = self._mi
-        self._bind(scene)
+        self._bind(scene, medium)
         active = mi.Bool(active)
         hit, si = self._first_hit(scene, ray, active, skip_emitters)  # What camera rays meet, detached
         L = mi.UnpolarizedSpectrum(0.0)
@@ -259,22 +261,26 @@ class SlepianIntegrator:
                 hit = dr.select(hidden, behind, hit)
             return hit, hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.All, active)
 
-    def _bind(self, scene: Any) -> None:
-        """Match the files to a scene, and log what of it will not be seen, each thing once."""
+    def _bind(self, scene: Any, medium: Any = None) -> None:
+        """Match the files to a scene, and log what of it will not be seen, each thing once.
+
+        A camera that is in a ``medium`` need not be one of the scene's.
+        """
         mi = self._mi
         bound = [transfer for transfer in self._transfers.values() if transfer.bind(scene)]
         for transfer in self._transfers.values():
             transfer.light(scene)
-        if not bound and self._lobes is not None:
+        if not bound and self._media is not None and self._media.know(medium):
             return
         materials = [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.BSDF)]
         self._lobes = Lobes(mi, materials, self._albedo, self._spectra)
-        media = Media(mi, media_of(mi, scene))
-        lamps = Lamps(mi, scene, media)
+        around = [] if medium is None else [medium]
+        self._media = Media(mi, [*media_of(mi, scene), *around])
+        lamps = Lamps(mi, scene, self._media)
         self._gatherer = None
-        if media.present or self._calls_for_gathering(scene, lamps):
+        if self._media.present or self._calls_for_gathering(scene, lamps):
             self._gatherer = Gatherer(
-                mi, self._cache, self._lobes, lamps, media, fixed_lights=self._fixed_lights,
+                mi, self._cache, self._lobes, lamps, self._media, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
         texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]
