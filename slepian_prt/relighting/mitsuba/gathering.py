@@ -7,10 +7,10 @@ from functools import partial
 from typing import Any
 
 from slepian_prt.paths.media import Flight, Media
+from slepian_prt.paths.scattering import Scatterer
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
 from slepian_prt.relighting.mitsuba.lamps import HeldPoint, Lamps, power_heuristic
 from slepian_prt.relighting.mitsuba.lobes import Lobes, Material
-from slepian_prt.relighting.mitsuba.scatterers import Scatterer
 
 # Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
 _ENDLESS = 0xFFFFFFFF
@@ -142,6 +142,7 @@ class Gatherer:
             on_held = self._lamps.on_held(scene, HeldPoint(si, material, path.medium), sampler, here)
             path.L += path.β * self._fixed_lights * on_held
         point = Scatterer(mi, self._media, si, material, path.medium, flight, path.active & going_on)
+        path.active = here if flight is None else here | (path.active & going_on & flight.scattered)
         ds, arriving = self._lamps.sample(scene, point, sampler)
         others, pdf = point.evaluate(sampler, ds.d, ds.pdf != 0.0)
         path.L += path.β * arriving * others * dr.select(ds.delta, 1.0, power_heuristic(ds.pdf, pdf))

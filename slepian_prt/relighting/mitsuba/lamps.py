@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from slepian_prt.paths.media import Media
+from slepian_prt.paths.scattering import Scatterer
 from slepian_prt.relighting.mitsuba.lobes import Material
-from slepian_prt.relighting.mitsuba.scatterers import Scatterer
 
 # Shadow rays for the lamps at a held point, at most; and points on lamps, of one or of several lamps, that one of these
 # is chosen from by what would arrive.

@@ -1,11 +1,27 @@
-"""Where paths go on from: surfaces, by the lobes that no file holds, and particles of media."""
+"""Where paths go on from: surfaces, by the lobes that are left of them, and particles of media."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from slepian_prt.paths.media import Flight, Media
-from slepian_prt.relighting.mitsuba.lobes import Material
+
+
+class SurfaceLobes(Protocol):
+    """Lobes of materials at points of surfaces, as `Remainder` has them."""
+
+    @property
+    def scatters(self) -> Any:
+        """Bool, whether there are any."""
+        ...
+
+    def evaluate(self, wo: Any, active: Any) -> tuple[Any, Any]:
+        """Value times cosine, and the density with which `sample` draws the direction."""
+        ...
+
+    def sample(self, sampler: Any) -> tuple[Any, Any]:
+        """A direction: BSDFSample3f, and value times cosine over its density."""
+        ...
 
 
 class Drawn(NamedTuple):
@@ -39,7 +55,7 @@ class Scatterer:
     media : Media
     si : SurfaceInteraction3f
         What the paths meet, unless they meet a particle before.
-    material : Material
+    lobes : SurfaceLobes
         There.
     medium : MediumPtr
         That they come through.
@@ -55,13 +71,13 @@ class Scatterer:
     """
 
     def __init__(
-        self, mi: Any, media: Media, si: Any, material: Material, medium: Any, flight: Flight | None, active: Any
+        self, mi: Any, media: Media, si: Any, lobes: SurfaceLobes, medium: Any, flight: Flight | None, active: Any
     ) -> None:
         import drjit as dr
 
-        self._mi, self._media, self._si, self._material = mi, media, si, material
+        self._mi, self._media, self._si, self._lobes = mi, media, si, lobes
         self._medium, self._flight = medium, flight
-        self.origin, self.active = mi.Interaction3f(si), material.scatters
+        self.origin, self.active = mi.Interaction3f(si), lobes.scatters
         if flight is not None:
             self._particle = active & flight.scattered
             self.origin = dr.select(self._particle, mi.Interaction3f(flight.place), self.origin)
@@ -77,7 +93,7 @@ class Scatterer:
         """Value times cosine toward directions (Vector3f, world), and the density with which `sample` draws them."""
         import drjit as dr
 
-        value, pdf = self._material.evaluate(self._si.to_local(direction), active & self._material.scatters)
+        value, pdf = self._lobes.evaluate(self._si.to_local(direction), active & self._lobes.scatters)
         if self._flight is not None:
             particle = active & self._particle
             phase, phase_pdf = self._media.evaluate(sampler, self._flight.place, direction, particle)
@@ -88,7 +104,7 @@ class Scatterer:
         """Directions in which the paths go on."""
         import drjit as dr
 
-        lobe, weight = self._material.sample(sampler)
+        lobe, weight = self._lobes.sample(sampler)
         drawn = Drawn(self._si.to_world(lobe.wo), weight, lobe.pdf, lobe.eta, lobe.sampled_type)
         if self._flight is None:
             return drawn
