@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -88,6 +88,8 @@ class Scene:
         Mitsuba's groups of the shapes that instances among ``shapes`` stand for.
     coarseness : float
         How many times longer than wanted the longest edge is that could not be cut, or 1.
+    boundaries : tuple of Mitsuba shapes
+        That all light passes, around participating media; not among ``shapes``.
     """
 
     mi: Any
@@ -108,6 +110,7 @@ class Scene:
     loaded: Any = None
     groups: tuple[Any, ...] = ()
     coarseness: float = 1.0
+    boundaries: tuple[Any, ...] = ()
 
     @property
     def receivers(self) -> Receivers:
@@ -216,6 +219,19 @@ class Scene:
         hidden = np.zeros(len(self.receivers), dtype=bool)
         hidden[self.pierced[:, 0]] = True
         return hidden
+
+    @cached_property
+    def with_media(self) -> Scene:
+        """The scene with the boundaries of media as occluders: what light does within them is traced then.
+
+        Where receivers are, and their rays start, does not change.
+        """
+        if not self.boundaries:
+            return self
+        scene = replace(self, shapes=(*self.shapes, *self.boundaries), boundaries=())
+        for name in ("surroundings", "ray_origins", "pierced"):
+            vars(scene)[name] = getattr(self, name)
+        return scene
 
     @property
     def traced_bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

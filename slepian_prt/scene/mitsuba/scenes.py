@@ -93,6 +93,7 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
         loaded=loaded,
         groups=tuple(shapes.groups),
         coarseness=shapes.coarseness,
+        boundaries=tuple(shapes.boundaries),
     )
     vars(scene)["geometry"] = geometry  # the same shapes: building it takes as long as all the rest
     return scene

@@ -52,6 +52,7 @@ class SortedShapes(NamedTuple):
     of_outcome : list of int
         Which of the outcomes each of ``receiving`` belongs to.
     coarseness : float
+    boundaries : list of Mitsuba shapes
         See `Scene`.
     """
 
@@ -61,6 +62,7 @@ class SortedShapes(NamedTuple):
     outcomes: list[ShapeOutcome]
     of_outcome: list[int]
     coarseness: float
+    boundaries: list[Any]
 
     def outcomes_with(self, lost_behind: Sequence[float | None], two_sided: NDArray[np.bool_]) -> list[ShapeOutcome]:
         """The outcomes, after it is known which receiving shapes are lit on both sides.
@@ -148,7 +150,7 @@ class _Sorter:
         copies = sum(len(group.shapes) * len(group.instances) for group in self._instanced)
         self._fewest = fewest_cuts(len(loaded.shapes()) + copies)
         self._candidates: list[_Candidate] = []
-        self._result = SortedShapes([], [], [], [], [], 1.0)
+        self._result = SortedShapes([], [], [], [], [], 1.0, [])
 
     def sort(self) -> SortedShapes:
         for index, shape in enumerate(self._loaded.shapes()):
@@ -189,6 +191,8 @@ class _Sorter:
             self._candidates.append(_Candidate(shape, name, triangles, None, 1.0, len(self._result.outcomes)))
         elif reason.endswith(_SHADOWS_ONLY):
             self._result.occluders.append(shape)
+        elif shape.is_medium_transition():
+            self._result.boundaries.append(shape)
         self._result.outcomes.append(ShapeOutcome(shape, name, _area(shape), 0, reason))
 
     def _take_group(self, group: InstancedGroup, vertices: int, copies: int) -> tuple[int, int]:

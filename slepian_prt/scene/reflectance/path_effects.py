@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from slepian_prt.scene.reflectance.bsdf_parts import all_bsdfs
+from slepian_prt.scene.reflectance.materials import lets_all_light_through
 
 # By what a path meets first; of a material that does several of these, the first in this list counts.
 PATH_EFFECTS = ("media", "opacity", "glass", "transmission", "mirrors", "gloss")
@@ -22,8 +23,10 @@ _NO_HOLES = ("ThinDielectric", "Hair")
 def path_effect(mi: Any, bsdf: Any) -> str | None:
     """One of `PATH_EFFECTS`, `DIFFUSE` for a material that does none of these, or None if nothing comes back from it.
 
-    ``media`` is no effect of materials: of a boundary that all light passes, ``opacity`` is told.
+    ``media`` is that of boundaries which all light passes: they are there for what they enclose.
     """
+    if lets_all_light_through(mi, bsdf):
+        return "media"
     flags = mi.BSDFFlags
     parts = list(all_bsdfs(mi, bsdf))
 
@@ -45,4 +48,4 @@ def path_effect(mi: Any, bsdf: Any) -> str | None:
 
 def passes_light(mi: Any, bsdf: Any) -> bool:
     """Whether light comes through the material, so that to be behind it is not to be inside something."""
-    return path_effect(mi, bsdf) in ("opacity", "glass", "transmission")
+    return path_effect(mi, bsdf) in ("media", "opacity", "glass", "transmission")

@@ -156,7 +156,7 @@ def test_light_on_a_large_ground(ground, tmp_path):
         <transform name="to_world"><rotate x="1" angle="180"/><scale value="0.5"/><translate z="0.5"/></transform>
         <bsdf type="conductor"/></shape></scene>"""
     )
-    transfer = precompute(tmp_path / "scene.xml", 0, 256)
+    transfer = precompute(tmp_path / "scene.xml", 0, 256, effects="direct")
     light = transfer.vectors[:, 0, 0] * math.sqrt(4.0 * math.pi)
     radius = np.linalg.norm(transfer.positions[:, :2], axis=1) + 100.0 * (transfer.positions[:, 2] < -900.0)
     assert light[np.argmin(radius)] == pytest.approx(0.5, abs=0.06)  # a vertex is within a 12th of a diagonal
@@ -172,7 +172,7 @@ def test_light_on_a_floor_of_two_triangles(tmp_path):
         <bsdf type="diffuse"/></shape><shape type="disk"><transform name="to_world"><rotate x="1" angle="180"/>
         <scale value="0.5"/><translate z="0.5"/></transform><bsdf type="conductor"/></shape></scene>"""
     )
-    transfer = precompute(tmp_path / "scene.xml", 0, 256)
+    transfer = precompute(tmp_path / "scene.xml", 0, 256, effects="direct")
     light = transfer.vectors[:, 0, 0] * math.sqrt(4.0 * math.pi)
     radius = np.linalg.norm(transfer.positions[:, :2], axis=1)
     assert light[np.argmin(radius)] == pytest.approx(0.5, abs=0.02)
