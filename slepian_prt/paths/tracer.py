@@ -118,7 +118,7 @@ class PathTracer:
         throughput: Any = None,
         medium: Any = None,
         active: Any = True,
-        first_known: bool = False,
+        first_known: Any = False,
     ) -> PathEnds:
         """Follow paths from their first segments.
 
@@ -134,7 +134,7 @@ class PathTracer:
         medium : Mitsuba medium or MediumPtr, optional
             That the paths begin in, one of the scene's. By default none; `medium_at` finds it.
         active : Bool
-        first_known : bool
+        first_known : bool or Bool
             Whether somebody else accounts for the known reflection of the first points: paths then go on from there
             with what is left of the material, if anything.
         """
@@ -163,7 +163,7 @@ class PathTracer:
         return PathEnds(escaped, held, covered, dr.select(escaped | held, β, 0.0), ray, hit, points)
 
     def _step(
-        self, first_known: bool, sampler: Any, active: Any, ray: Any, hit: Any, medium: Any, β: Any, η: Any,
+        self, first_known: Any, sampler: Any, active: Any, ray: Any, hit: Any, medium: Any, β: Any, η: Any,
         points: Any, escaped: Any, held: Any, covered: Any,
     ) -> tuple[Any, ...]:  # fmt: skip
         import drjit as dr

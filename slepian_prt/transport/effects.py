@@ -121,6 +121,11 @@ class PathPlan:
     receivers: NDArray[np.int64]
     samples: int
 
+    @property
+    def media(self) -> bool:
+        """Whether participating media are simulated, so that their boundaries stop other rays."""
+        return "media" in self.effects
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:

@@ -102,7 +102,8 @@ def exchange_light(
     gather = paths = None
     if plan.interreflection:
         nodes = max(1, round(GATHER_SHARE * settings.samples))
-        gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
+        seeing = plan.shadowed[~planned.within_media[plan.shadowed]]
+        gather = gather_operator(scene, nodes, seeing, blocked, settings.seed + 1, report) if seeing.size else None
         planned.clock.stop("interreflection")
     if plan.paths is not None:
         wanted = plan.paths

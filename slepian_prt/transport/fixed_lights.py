@@ -31,7 +31,8 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
     UserError
         Light that is negative or not finite somewhere.
     """
-    scene, lamps, settings = planned.scene, planned.lamps, planned.settings
+    # Through media lamps shine as if they were not there.
+    scene, lamps, settings = planned.survey.scene, planned.lamps, planned.settings
     if not lamps.groups or not lamps.wanted or planned.plan.view is not None:
         return None, 0
     count = len(scene.receivers)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from slepian_prt.paths.media import medium_at
 from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
@@ -97,6 +98,7 @@ class PathRays:
         self._tracer = PathTracer(mi, scene.geometry, self._held.materials, known=self._held)
         self._sampler = mi.load_dict({"type": "independent"})
         self._wanted = mi.Bool([False, *(effect in set(effects) for effect in PATHS)])
+        self._follows_media = self._tracer.has_media and "media" in set(effects)
 
     def blocks(self, vertices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
         """The receivers in blocks whose rays fit in memory; neighbours in space together."""
@@ -105,13 +107,18 @@ class PathRays:
         return [order[begin : begin + size] for begin in range(0, order.size, size)]
 
     def trace(self, vertices: NDArray[np.int64]) -> Ends:
-        """Follow the paths of a block of receivers."""
+        """Follow the paths of a block of receivers; of those within media, all."""
         import drjit as dr
 
         mi = self._scene.mi
-        ray = self._first_rays(vertices)
+        place, ray = self._first_rays(vertices)
         hit = self._scene.geometry.ray_intersect_preliminary(ray)
         effect = self._held.first_met(ray, hit)
+        medium, within = None, mi.Bool(False)
+        if self._follows_media:
+            medium = dr.gather(mi.MediumPtr, media_around(self._scene, vertices), place)
+            within = medium != mi.MediumPtr(None)
+            effect = dr.select(within, 1 + PATHS.index("media"), effect)
         lane = dr.compress(dr.gather(mi.Bool, self._wanted, effect))
         lanes, rays = np.array(lane, dtype=np.int64), vertices.size * self._samples
         if lanes.size == 0:
@@ -120,7 +127,9 @@ class PathRays:
         ray, hit = dr.gather(mi.Ray3f, ray, lane), dr.gather(mi.PreliminaryIntersection3f, hit, lane)
         seed = np.random.SeedSequence([self._seed, 1, int(vertices[0])]).generate_state(1)[0]
         self._sampler.seed(mi.UInt32(int(seed)), lanes.size)
-        ends = self._tracer.follow(self._sampler, ray, hit=hit, first_known=True)
+        if medium is not None:
+            medium, within = dr.gather(mi.MediumPtr, medium, lane), dr.gather(mi.Bool, within, lane)
+        ends = self._tracer.follow(self._sampler, ray, hit=hit, medium=medium, first_known=~within)
         dr.eval(ends.escaped, ends.held, ends.throughput, ends.ray, ends.hit, ends.points)
         out, on = np.flatnonzero(np.array(ends.escaped)), np.flatnonzero(np.array(ends.held))
         throughput = np.array(ends.throughput).T
@@ -140,8 +149,8 @@ class PathRays:
             rays + int(further.sum()),
         )
 
-    def _first_rays(self, vertices: NDArray[np.int64]) -> Any:
-        """Rays by the cosine about the normals, those of one receiver side by side."""
+    def _first_rays(self, vertices: NDArray[np.int64]) -> tuple[Any, Any]:
+        """Rays by the cosine about the normals, those of one receiver side by side, after the places of these."""
         import drjit as dr
 
         mi, scene, half = self._scene.mi, self._scene, self._samples // 2
@@ -157,7 +166,13 @@ class PathRays:
         u = [mi.Float(among * mi.UInt32(step) + shift) * _UNIT for step, shift in zip(_STEPS, shifts, strict=True)]
         frames = rotation_to(scene.receivers.normals[vertices])
         outward = upload_frames(mi, frames)(place, mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
-        return mi.Ray3f(upload_origins(mi, scene.ray_origins, vertices)(place, outward), outward)
+        return place, mi.Ray3f(upload_origins(mi, scene.ray_origins, vertices)(place, outward), outward)
+
+
+def media_around(scene: Scene, vertices: NDArray[np.int64]) -> Any:
+    """MediumPtr, what medium the rays of receivers start in; null for none."""
+    mi = scene.mi
+    return medium_at(mi, scene.geometry, mi.Point3f(scene.ray_origins.front[vertices].T.astype(np.float32)))
 
 
 def _nothing(vertices: NDArray[np.int64], samples: int, rays: int) -> Ends:

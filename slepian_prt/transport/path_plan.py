@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.paths.media import media_of
 from slepian_prt.scene.mitsuba.instances import shapes_in
 from slepian_prt.scene.reflectance.path_effects import DIFFUSE, path_effect
 from slepian_prt.scene.scene import Scene
@@ -22,7 +23,7 @@ from slepian_prt.transport.effects import (
     wanted_effects,
 )
 from slepian_prt.transport.held_faces import PATHS
-from slepian_prt.transport.path_light import PathRays
+from slepian_prt.transport.path_light import PathRays, media_around
 
 # Vertices and first directions of the pilot.
 _PILOT_VERTICES, _PILOT_SAMPLES = 256, 256
@@ -145,9 +146,12 @@ def look_at_paths(scene: Scene, possible: NDArray[np.int64], receivers: int, see
     shapes = _shapes_by_effect(scene)
     if not shapes or possible.size == 0:
         return PathPilot.none()
-    present = tuple(effect for effect in PATHS if effect in shapes)
     lit = possible[~scene.is_hidden[possible]]
-    before = {effect: lit[_is_before(scene, lit, shapes[effect])] for effect in present}
+    before = {effect: lit[_is_before(scene, lit, boxes)] for effect, boxes in shapes.items()}
+    if media_of(scene.mi, scene.geometry):
+        within = lit[np.array(media_around(scene, lit) != scene.mi.MediumPtr(None))]
+        before["media"] = np.union1d(before.get("media", within), within)
+    present = tuple(effect for effect in PATHS if effect in before)
     chosen = np.random.default_rng(seed).choice(possible, min(_PILOT_VERTICES, possible.size), replace=False)
     rays = PathRays(scene, _PILOT_SAMPLES, present, seed + 2)
     amounts = {effect: np.zeros((chosen.size, 3)) for effect in present}

@@ -7,12 +7,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.renderer.shape_names import shape_name
+from slepian_prt.paths.media import media_of
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.direct import DirectTransfer
@@ -21,6 +24,7 @@ from slepian_prt.transport.estimator import Estimator
 from slepian_prt.transport.glossy import ViewTransfer
 from slepian_prt.transport.interreflection import gather_operator
 from slepian_prt.transport.lamps import Lamps, find_lamps
+from slepian_prt.transport.path_light import media_around
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.survey import Survey
 
@@ -80,7 +84,7 @@ def plan_scene(
         on_plan(plan.effects)
         _remark_on_closed(opened, plan.shadows, settings.seed)
         clock.stop("plan")
-        yield PlannedScene(opened, settings, survey, plan, clock, found)
+        yield PlannedScene(settings, survey, plan, clock, found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +93,6 @@ class PlannedScene:
 
     Attributes
     ----------
-    scene : Scene
     settings : TransportSettings
     survey : Survey
     plan : Plan
@@ -97,7 +100,6 @@ class PlannedScene:
     lamps : Lamps
     """
 
-    scene: Scene
     settings: TransportSettings
     survey: Survey
     plan: Plan
@@ -110,6 +112,26 @@ class PlannedScene:
         plan = self.survey.plan(settings.bandlimit, settings.samples, settings.effects, self.plan.view)
         plan = self.lamps.add_rows(plan, settings.samples)
         return replace(self, settings=settings, plan=plan, clock=Clock(self.clock.seconds))
+
+    @property
+    def scene(self) -> Scene:
+        """As it is to be traced: with the boundaries of media, if these are simulated."""
+        return self.survey.scene.with_media if self._has_media else self.survey.scene
+
+    @cached_property
+    def within_media(self) -> NDArray[np.bool_]:
+        """(V,) receivers in participating media that are simulated: paths bring all their light."""
+        scene = self.scene
+        within = np.zeros(len(scene.receivers), dtype=bool)
+        if self._has_media and media_of(scene.mi, scene.geometry):
+            active = np.flatnonzero(scene.receivers.active)
+            medium = media_around(scene, active)
+            within[active] = np.array(medium != scene.mi.MediumPtr(None))
+        return within
+
+    @property
+    def _has_media(self) -> bool:
+        return self.plan.paths is not None and self.plan.paths.media
 
     @property
     def by_blocks(self) -> bool:

@@ -78,6 +78,8 @@ class Survey:
     pilot : PilotVisibility
     paths : PathPilot
         What comes by way of mirrors, glass and the like.
+    possible_with_media : indices of vertices
+        As ``possible``, where the boundaries of media count.
     """
 
     scene: Scene
@@ -85,6 +87,7 @@ class Survey:
     possible: NDArray[np.int64]
     pilot: PilotVisibility
     paths: PathPilot
+    possible_with_media: NDArray[np.int64]
 
     @classmethod
     def of(cls, scene: Scene, seed: int = 0, *, paths: bool = True) -> Survey:
@@ -92,8 +95,11 @@ class Survey:
         receivers = np.flatnonzero(scene.receivers.active)
         possible = np.flatnonzero(shadowed_vertices(scene))
         pilot = _trace_pilot(scene, possible, receivers.size, seed)
-        found = look_at_paths(scene, possible, receivers.size, seed) if paths else PathPilot.none()
-        return cls(scene, receivers, possible, pilot, found)
+        if not paths:
+            return cls(scene, receivers, possible, pilot, PathPilot.none(), possible)
+        traced = scene.with_media
+        reached = possible if traced is scene else np.flatnonzero(shadowed_vertices(traced))
+        return cls(scene, receivers, possible, pilot, look_at_paths(traced, reached, receivers.size, seed), reached)
 
     def nodes(self, samples: float) -> int:
         """Directions that a vertex looks in at first, so that it takes ``samples`` rays on average."""
@@ -131,6 +137,8 @@ class _Decisions:
         interreflection = self._interreflection()
         bounces = interreflection.verdict == SIMULATED
         paths, path_plan = decide(self._survey.paths, self._pilot.blocked, self._effects, self._samples)
+        if path_plan is not None and path_plan.media:
+            shadowed = self._survey.possible_with_media
         rows, channels = [shadows, interreflection, *paths], 1
         if self._view is not None:
             rows.insert(1, self._toward_view(self._view))

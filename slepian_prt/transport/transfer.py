@@ -218,6 +218,8 @@ def compute_transfer(
     whole = estimator.estimate(advance=report)
     vectors, blocked, rays = merge_equal_channels(whole.vectors), whole.blocked, whole.rays
     del whole  # three channels that were the same need not stay
+    if planned.within_media.any():
+        vectors[planned.within_media], blocked[planned.within_media] = 0.0, 1.0
     interior = find_interior(scene, np.flatnonzero((blocked >= 1.0) & receivers.active))
     interior.fill(vectors)
     interior.fill(blocked)

@@ -139,7 +139,8 @@ def effects_left_out(mi: Any, outcomes: Sequence[ShapeOutcome], *, view: bool) -
         if letting:
             reason = "where they hide the light, they cast the shadow of opaque surfaces; no light goes through them"
             rows.append(row("light onto other surfaces through", letting, reason, NOT_SIMULATED))
-    rows += _media(shapes)
+    if view:
+        rows += _media(shapes)
     return tuple(rows)
 
 

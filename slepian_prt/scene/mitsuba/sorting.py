@@ -191,7 +191,7 @@ class _Sorter:
             self._candidates.append(_Candidate(shape, name, triangles, None, 1.0, len(self._result.outcomes)))
         elif reason.endswith(_SHADOWS_ONLY):
             self._result.occluders.append(shape)
-        elif shape.is_medium_transition():
+        elif any(medium is not None for medium in (shape.interior_medium(), shape.exterior_medium())):
             self._result.boundaries.append(shape)
         self._result.outcomes.append(ShapeOutcome(shape, name, _area(shape), 0, reason))
 
