@@ -1,0 +1,163 @@
+"""Light by way of mirrors, glass, holes, leaves and fog, against Mitsuba's own path tracers, receiver by receiver."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import t as student_t
+
+import slepian_prt as sp
+from slepian_prt.lighting.emitters import environment_emitter
+from slepian_prt.lighting.environment import Environment, make_environment
+from slepian_prt.paths.media import medium_at
+from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.scene import Scene, mitsuba_scene
+from slepian_prt.transport.hemisphere import upload_origins
+from slepian_prt.transport.held_faces import PATHS
+from slepian_prt.transport.path_light import trace_paths
+from tests.numerics import assert_exact
+
+BANDLIMIT = 3
+FLOOR = """<shape type="rectangle" id="floor"><transform name="to_world"><scale value="1.5"/></transform>
+<bsdf type="diffuse"><rgb name="reflectance" value=".6, .5, .4"/></bsdf></shape>"""
+BALL = """<shape type="sphere" id="ball"><point name="center" x="0" y="0" z="0.6"/><float name="radius" value="0.5"/>
+{}</shape>"""
+SHEET = """<shape type="rectangle" id="sheet"><transform name="to_world"><scale value=".8"/><rotate y="1" angle="20"/>
+<translate z=".7"/></transform>{}</shape>"""
+CASE = """<shape type="cube" id="case"><transform name="to_world"><scale value=".5"/><translate z=".6"/></transform>
+{}</shape>"""
+INSIDE = """<shape type="sphere" id="inner"><point name="center" x="0" y="0" z="0.6"/>
+<float name="radius" value="0.3"/><bsdf type="diffuse"><rgb name="reflectance" value=".2, .5, .8"/></bsdf></shape>"""
+FOG = """<bsdf type="null"/><medium type="homogeneous" name="interior"><rgb name="sigma_t" value=".5, .7, .9"/><float name="scale" value="3"/>
+<rgb name="albedo" value="0.9, .8, .7"/><phase type="hg"><float name="g" value="0.4"/></phase></medium>"""
+MILK = """<bsdf type="roughdielectric"><float name="alpha" value=".3"/></bsdf><medium type="homogeneous" name="interior">
+<float name="sigma_t" value="4"/><rgb name="albedo" value="0.9, .8, .7"/></medium>"""
+DIFFUSE = '<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value=".7, .3, .2"/></bsdf></bsdf>'
+MASK = f"""<bsdf type="mask"><texture name="opacity" type="checkerboard"><rgb name="color0" value=".2"/>
+<rgb name="color1" value=".9"/></texture>{DIFFUSE}</bsdf>"""
+LEAF = """<bsdf type="principledthin"><rgb name="base_color" value=".6, .8, .2"/><float name="diff_trans" value="1"/>
+</bsdf>"""
+SCENES = {
+    "mirrors": BALL.format('<bsdf type="conductor"/>'),
+    "gloss": BALL.format('<bsdf type="roughconductor"><string name="material" value="Au"/></bsdf>'),
+    "gloss of a coat": BALL.format('<bsdf type="plastic"><rgb name="diffuse_reflectance" value=".2, .5, .8"/></bsdf>'),
+    "glass": BALL.format('<bsdf type="dielectric"/>'),
+    "glass, thin": SHEET.format('<bsdf type="thindielectric"/>'),
+    "glass around something": INSIDE + CASE.format('<bsdf type="dielectric"/>'),
+    "opacity": SHEET.format(MASK),
+    "transmission": SHEET.format(LEAF),
+    "media": CASE.format(FOG),
+    "media around something": INSIDE + CASE.format(FOG),
+    "glass with a medium": BALL.format(MILK),
+}
+
+
+def written(folder: Path, content: str) -> Path:
+    (folder / "scene.xml").write_text(f'<scene version="3.0.0">{content}</scene>')
+    return folder / "scene.xml"
+
+
+def smooth_light() -> Environment:
+    """Of degrees 0 and 1, but for what texels are interpolated to."""
+    v, u = np.pi * np.arange(64)[:, None] / 63, 2 * np.pi * (np.arange(128)[None] + 0.5) / 128
+    x, y, z = np.sin(v) * np.sin(u), np.cos(v) + 0 * u, -np.sin(v) * np.cos(u)
+    return make_environment(np.stack([1 + 0.5 * z + 0.3 * x, 1 + 0.6 * z + 0.2 * y, 1 + 0.7 * z - 0.3 * y], -1))
+
+
+def traced(scene: Scene, light: Environment, vertices: np.ndarray, samples: int, seed: int) -> np.ndarray:
+    """(n, 3) radiance of unit albedo: rays by the cosine at random, all else by Mitsuba."""
+    scene = scene.with_media
+    media = [shape.interior_medium() for shape in scene.shapes if shape.interior_medium() is not None]
+    start = scene.mi.Point3f(scene.ray_origins.front[vertices].T.astype(np.float32))
+    within = np.array(medium_at(scene.mi, scene.geometry, start) != scene.mi.MediumPtr(None)) & bool(media)
+    result = np.empty((len(vertices), 3))
+    for inside, medium in ((False, None), *((True, medium) for medium in media)):
+        some = np.flatnonzero(within == inside)
+        result[some] = traced_within(scene, light, vertices[some], medium, samples, seed)
+    return result
+
+
+def traced_within(scene: Scene, light: Environment, vertices, medium, samples: int, seed: int) -> np.ndarray:
+    """The same of receivers that are all in one medium; Mitsuba cannot be given several."""
+    import drjit as dr
+
+    if len(vertices) == 0:
+        return np.zeros((0, 3))
+    mi, lit = scene.mi, mitsuba_scene(scene, emitter=environment_emitter(scene.mi, light))
+    place = dr.arange(mi.UInt32, len(vertices) * samples) // dr.opaque(mi.UInt32, samples)
+    normals = mi.Normal3f(scene.receivers.normals[vertices].T.astype(np.float32))
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, dr.width(place))
+    up = mi.Frame3f(dr.gather(mi.Normal3f, normals, place))
+    outward = up.to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
+    origin_of = upload_origins(mi, scene.ray_origins, vertices)
+    integrator = mi.load_dict({"type": "volpath", "max_depth": 64})
+    ray = mi.RayDifferential3f(mi.Ray3f(origin_of(place, outward), outward))
+    found = integrator.sample(lit, sampler, ray, medium)[0]
+    return np.stack([np.array(dr.block_sum(channel, samples)) / samples for channel in mi.Color3f(found)], axis=-1)
+
+
+def relit(transfer: sp.Transfer, light: Environment) -> np.ndarray:
+    """(V, 3) for unit albedo."""
+    return np.einsum("vcm,cm->vc", np.broadcast_to(transfer.vectors, (len(transfer.vectors), 3, 16)),
+                     sp.project_environment(light, BANDLIMIT))  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENES)
+def test_each_effect_alone_agrees_with_the_path_tracer(name, tmp_path):
+    """Differences are noise: their mean is none, and they are as large as both sides' own runs tell."""
+    path, light = written(tmp_path, FLOOR + SCENES[name]), smooth_light()
+    with open_scene(path) as scene:
+        lit = np.flatnonzero(scene.receivers.active & ~scene.is_hidden)
+        vertices = np.random.default_rng(1).choice(lit, 200, replace=False)
+        reference = np.stack([traced(scene, light, vertices, 512, seed) for seed in range(8)])
+    runs = [sp.precompute(path, BANDLIMIT, 1024, effects="all", seed=seed) for seed in range(3)]
+    ours = np.stack([relit(run, light)[vertices] for run in runs])
+    means, errors = zip(*((x.mean(axis=0), x.std(axis=0, ddof=1) / math.sqrt(len(x))) for x in (ours, reference)))
+    difference, noise = means[0] - means[1], np.hypot(*errors)
+    # What is bounced between diffuse surfaces is taken between vertices, and visibility from a grid of directions.
+    z = difference / np.hypot(noise, 0.002 * means[1].mean())
+    assert abs(difference.mean()) < 2e-3 * means[1].mean()
+    assert abs(z.mean()) < 0.2
+    assert np.mean(np.abs(z) > 3.0) < 2.0 * student_t.sf(3.0, 7) + 0.01
+
+
+def test_a_furnace_of_glass_and_a_mirror(tmp_path):
+    """Nothing absorbs: where all surroundings shine by 1, by way of glass and mirrors comes what they hide."""
+    import drjit as dr
+
+    mirror = '<shape type="disk"><transform name="to_world"><rotate y="1" angle="120"/><translate x="-1.2" z="0.5"/>'
+    body = FLOOR + BALL.format('<bsdf type="dielectric"/>') + mirror + '</transform><bsdf type="twosided"><bsdf type="conductor"/></bsdf></shape>'
+    with open_scene(written(tmp_path, body)) as scene:
+        some = np.flatnonzero(scene.receivers.active & ~scene.is_hidden)[::40]
+        paths = trace_paths(scene, some, 256, PATHS, 0, 1, 0)
+        some = paths.rows
+        mi = scene.mi
+        place = dr.arange(mi.UInt32, some.size * 256) // 256
+        normals = dr.gather(mi.Normal3f, mi.Normal3f(scene.receivers.normals[some].T.astype(np.float32)), place)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(5, dr.width(place))
+        outward = mi.Frame3f(normals).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
+        origin = upload_origins(mi, scene.ray_origins, some)(place, outward)
+        hit = scene.geometry.ray_intersect_preliminary(mi.Ray3f(origin, outward))
+        glass = np.array(hit.is_valid() & (scene.hit_faces(hit) < 0)).reshape(some.size, 256).mean(axis=1)
+    np.testing.assert_allclose(paths.received, glass, atol=5.0 * 0.5 / 16.0)
+    # The mean over receivers of two estimates of 256 samples each.
+    assert paths.received.mean() == pytest.approx(glass.mean(), abs=4.0 * 0.5 / math.sqrt(256 * some.size))
+    escaped = paths.escaped[:, 0, 0] * math.sqrt(4.0 * math.pi)
+    np.testing.assert_allclose(escaped + np.asarray(paths.met[0].sum(axis=1)).ravel(), paths.received, rtol=1e-5)
+
+
+def test_halves_tell_the_noise(tmp_path):
+    """The mean square of half their difference is the variance between seeds; ours to a tenth, of 150 receivers."""
+    with open_scene(written(tmp_path, FLOOR + SCENES["glass"])) as scene:
+        some = np.random.default_rng(2).choice(len(scene.receivers), 150, replace=False)
+        runs = [trace_paths(scene, some, 64, ("glass",), 4, 3, seed) for seed in range(12)]
+        escaped = np.stack([run.escaped[np.argsort(run.rows)] for run in runs]).astype(np.float64)
+        told = np.mean([np.square(run.escaped_error, dtype=np.float64).sum() for run in runs])
+        varied = escaped.var(axis=0, ddof=1).sum()
+        assert told == pytest.approx(varied, rel=0.1)
+        again = trace_paths(scene, some, 64, ("glass",), 4, 3, 3)
+        assert_exact(again.escaped, runs[3].escaped, "the same seed, the same bits")
