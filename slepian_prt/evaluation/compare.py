@@ -25,7 +25,7 @@ from slepian_prt.evaluation.methods import (
     run_methods,
 )
 from slepian_prt.evaluation.metrics import relative_rms, seam
-from slepian_prt.evaluation.reference import render_reference, vertex_reference
+from slepian_prt.evaluation.reference import path_bounces, render_reference, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.drawing.backdrop import draw_backdrop
@@ -192,13 +192,12 @@ def _view(scene: Scene, transfer: Transfer, environment: Environment, pictures: 
     lighting = project_environment(environment, transfer.bandlimit)
     radiance = relight(transfer, lighting)
     report(f"path-traced reference under {environment.name}")
-    reference = render_reference(
-        pictures.scene, environment, width=pictures.width, noise=noise, bounces=transfer.bounces
-    )
+    bounces = path_bounces(transfer.bounces, transfer.effects)
+    reference = render_reference(pictures.scene, environment, width=pictures.width, noise=noise, bounces=bounces)
     reference = replace(reference, picture=camera.masked(reference.picture))
     report(f"reference at the vertices under {environment.name}")
     toward = transfer.view if transfer.toward_view else None
-    vertices = vertex_reference(scene, environment, noise=noise, bounces=transfer.bounces, view=toward)
+    vertices = vertex_reference(scene, environment, noise=noise, bounces=bounces, view=toward)
     interpolated, full = camera.picture(vertices.radiance), camera.picture(radiance)
     backdrop = draw_backdrop(environment, camera.directions) if pictures.finish.background == MAP else None
     return View(environment, lighting, radiance, reference, vertices, interpolated, full, backdrop)

@@ -16,7 +16,7 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.evaluation.methods import COST_TERMS, DEFAULT_TERMS, FULL_SH, METHODS
 from slepian_prt.evaluation.metrics import relative_rms
-from slepian_prt.evaluation.reference import render_reference, vertex_reference
+from slepian_prt.evaluation.reference import path_bounces, render_reference, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Part, Scene
@@ -211,9 +211,8 @@ def _vertices(planned: PlannedScene, environments: Sequence[Environment], noise:
 
 def _likely_bounces(planned: PlannedScene) -> int:
     """How many will be followed; without a wish that is only known when transfer is there."""
-    if not planned.plan.interreflection:
-        return 0
-    return _BOUNCES if planned.settings.bounces is None else planned.settings.bounces
+    bounces = _BOUNCES if planned.settings.bounces is None else planned.settings.bounces
+    return path_bounces(bounces if planned.plan.interreflection else 0, planned.plan.effects)
 
 
 def _rounds(reached: float, noise: float, most: int, *, stratified: bool) -> list[float]:

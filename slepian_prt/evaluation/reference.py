@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,16 +13,28 @@ from numpy.typing import NDArray
 
 from slepian_prt.lighting.emitters import environment_emitter
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.paths.media import media_of, medium_at
 from slepian_prt.relighting.drawing.pictures import Picture, split_alpha
 from slepian_prt.scene.mitsuba.shapes import without_emission
+from slepian_prt.scene.reflectance.path_effects import PATH_EFFECTS
 from slepian_prt.scene.scene import Scene, mitsuba_scene
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import View
+from slepian_prt.transport.effects import SIMULATED, Effect
 from slepian_prt.transport.hemisphere import upload_origins
 from slepian_prt.transport.interior import find_interior
 
+# Points of paths that pass mirrors, glass, holes and particles of media, which are no bounces of transfer.
+_MANY_POINTS = 128
+
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
+
+
+def path_bounces(bounces: int, effects: Sequence[Effect]) -> int:
+    """How many bounces references follow for transfer of ``bounces``: many, where mirrors and the like are none."""
+    by_paths = any(row.name in PATH_EFFECTS and row.verdict == SIMULATED for row in effects)
+    return max(bounces, _MANY_POINTS) if by_paths else bounces
 
 
 @dataclass(frozen=True)
@@ -263,9 +275,16 @@ def _indirect(mi: Any, lit: Any, ray: Any, hits: Any, bounces: int, seed: int) -
 
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, dr.width(ray))
-    integrator = mi.load_dict({"type": "path", "max_depth": bounces + 1})
-    radiance, _, _ = integrator.sample(lit, sampler, mi.RayDifferential3f(ray), active=hits)
-    return dr.select(hits, radiance, 0.0)
+    ray, media = mi.RayDifferential3f(ray), media_of(mi, lit)
+    if not media:
+        integrator = mi.load_dict({"type": "path", "max_depth": bounces + 1})
+        return dr.select(hits, integrator.sample(lit, sampler, ray, active=hits)[0], 0.0)
+    integrator = mi.load_dict({"type": "volpath", "max_depth": bounces + 1})
+    around, total = medium_at(mi, lit, ray.o), mi.Spectrum(0.0)
+    for medium in (None, *media):  # paths of one call begin in one medium
+        there = hits & (around == mi.MediumPtr(medium))
+        total += dr.select(there, integrator.sample(lit, sampler, ray, medium, there)[0], 0.0)
+    return total
 
 
 def _half_noise(first: NDArray, second: NDArray) -> float:

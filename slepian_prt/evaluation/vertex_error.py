@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.evaluation.metrics import relative_square
-from slepian_prt.evaluation.reference import ReferenceVertices, vertex_reference
+from slepian_prt.evaluation.reference import ReferenceVertices, path_bounces, vertex_reference
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
@@ -145,7 +145,7 @@ class MapMetric:
                 environment,
                 noise=noise,
                 largest_samples=largest_samples,
-                bounces=most if planned.plan.interreflection else 0,
+                bounces=path_bounces(most if planned.plan.interreflection else 0, planned.plan.effects),
                 view=planned.plan.view,
                 seed=1 + int(vertices[0]) if seed is None else seed,
                 vertices=vertices,

@@ -32,8 +32,8 @@ log = logging.getLogger(__name__)
 
 _WHITE = math.sqrt(4.0 * math.pi)
 
-# More light than comes in, in the mean and beyond noise, is worth a remark from this part on.
-_TOO_BRIGHT = 0.02
+# So many times the light that comes in is worth a remark, at the brightest receivers but for these that noise makes so.
+_TOO_BRIGHT, _NEARLY_ALL = 2.0, 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,6 @@ def exchange_light(
             scene, wanted.receivers, wanted.samples, wanted.effects, settings.bandlimit, plan.channels, settings.seed,
             report,
         )  # fmt: skip
-        _remark_on_energy(planned, paths)
         planned.clock.stop("paths")
     return _Solver(planned, gather, paths, blocked, interior).solve(vectors, fixed)
 
@@ -147,6 +146,8 @@ class _Solver:
                 interior.fill(light)
             fixed = replace(fixed, bounced=bounced)
         rays = sum(part.rays for part in (self._gather, paths) if part is not None)
+        if paths is not None:
+            _remark_on_energy(self._planned, paths, vectors)
         self._planned.clock.stop("bounces" if paths is not None else "interreflection")
         return Exchanged(vectors, fixed, bounces, rays, None if paths is None else self._noise(vectors, bounces))
 
@@ -184,15 +185,14 @@ class _Solver:
         return math.sqrt(squares / whole) if whole > 0.0 else 0.0
 
 
-def _remark_on_energy(planned: PlannedScene, paths: PathLight) -> None:
-    """Say so if paths bring more light than there is, as by materials that reflect more than they get."""
-    seen = paths.received.astype(np.float64)
-    over = seen - 1.0 - 4.0 * seen.std() / math.sqrt(max(seen.size, 1))
-    if over.max(initial=0.0) > _TOO_BRIGHT and np.mean(over > 0.0) > 0.0:
+def _remark_on_energy(planned: PlannedScene, paths: PathLight, vectors: NDArray[np.float32]) -> None:
+    """Say so if there is more light than comes in, as by materials that reflect more than they get."""
+    under_one = vectors[paths.rows, :, 0].max(axis=1) * _WHITE
+    most = float(np.quantile(under_one, _NEARLY_ALL, method="lower"))
+    if most > _TOO_BRIGHT * paths.brightest and planned.plan.paths is not None:
         log.info(
-            "%s: paths by way of %s bring up to %.2f times the light that falls in; a material reflects more than it "
-            "gets: correct it",
+            "%s: under a sky of 1 surfaces get up to %.2g by way of %s: a material sends more than it gets; correct it",
             planned.scene.path,
-            ", ".join(planned.plan.paths.effects) if planned.plan.paths is not None else "surfaces",
-            float(seen.max()),
+            most,
+            ", ".join(planned.plan.paths.effects),
         )

@@ -72,9 +72,7 @@ class HeldFaces:
         valid &= front | dr.gather(mi.Bool, self._holds_back, face, valid)
         u, v = mi.Float(hit.prim_uv.x), mi.Float(hit.prim_uv.y)
         albedo = mi.Color3f(0.0)
-        for ahead, behind, weight in zip(
-            self._corners, self._corners_behind, (1.0 - u - v, u, v), strict=True
-        ):
+        for ahead, behind, weight in zip(self._corners, self._corners_behind, (1.0 - u - v, u, v), strict=True):
             vertex = dr.gather(mi.UInt32, ahead, face, valid & front)
             vertex = dr.select(front, vertex, dr.gather(mi.UInt32, behind, face, valid & ~front))
             albedo += weight * dr.gather(mi.Color3f, self._albedo, vertex, valid)
@@ -88,7 +86,6 @@ class HeldFaces:
         """
         import drjit as dr
 
-        mi = self._mi
         face, _ = self._side(ray, hit)
         bsdf = hit.shape.bsdf()
         effect = self._table.look_up(self._effects, bsdf, hit.is_valid(), 0)

@@ -23,12 +23,13 @@ from scipy.sparse import csr_array
 from slepian_prt.paths.media import medium_at
 from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.reflectance.path_effects import densest_glass
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.rotation import rotation_to
 from slepian_prt.transport.estimator import overlapped
-from slepian_prt.transport.hemisphere import upload_frames, upload_origins
 from slepian_prt.transport.held_faces import PATHS, Corners, HeldFaces
+from slepian_prt.transport.hemisphere import upload_frames, upload_origins
 
 _RAYS_PER_BLOCK = 1 << 19
 
@@ -89,6 +90,11 @@ class PathRays:
     effects : iterable of str
         Those of `PATHS` by which paths go on from what they meet first.
     seed : int
+
+    Attributes
+    ----------
+    brightest : float
+        See `PathLight`.
     """
 
     def __init__(self, scene: Scene, samples: int, effects: Iterable[str], seed: int) -> None:
@@ -96,6 +102,7 @@ class PathRays:
         self._scene, self._samples, self._seed = scene, samples, seed
         self._held = HeldFaces(scene)
         self._tracer = PathTracer(mi, scene.geometry, self._held.materials, known=self._held)
+        self.brightest = max((densest_glass(mi, material) for material in self._held.materials), default=1.0) ** 2
         self._sampler = mi.load_dict({"type": "independent"})
         self._wanted = mi.Bool([False, *(effect in set(effects) for effect in PATHS)])
         self._follows_media = self._tracer.has_media and "media" in set(effects)
@@ -114,7 +121,8 @@ class PathRays:
         place, ray = self._first_rays(vertices)
         hit = self._scene.geometry.ray_intersect_preliminary(ray)
         effect = self._held.first_met(ray, hit)
-        medium, within = None, mi.Bool(False)
+        medium: Any = None
+        within: Any = mi.Bool(False)
         if self._follows_media:
             medium = dr.gather(mi.MediumPtr, media_around(self._scene, vertices), place)
             within = medium != mi.MediumPtr(None)
@@ -199,8 +207,8 @@ class PathLight:
         S: how much of each vertex is seen.
     halves : (k,) int8
         Of the entries of S: 1 in the first half, -1 in the second.
-    received : (n,) float32
-        What would come from surroundings that shine everywhere alike: the mean of the channels.
+    brightest : float
+        How bright surroundings of 1 can look if no material reflects more than it gets: in glass, its index squared.
     rays : int
     """
 
@@ -209,7 +217,7 @@ class PathLight:
     escaped_error: NDArray[np.float32]
     met: tuple[csr_array, ...]
     halves: NDArray[np.int8]
-    received: NDArray[np.float32]
+    brightest: float
     rays: int
 
     def reflected(self, albedo: NDArray, values: NDArray, channel: int = 0) -> NDArray[np.float32]:
@@ -263,7 +271,7 @@ def trace_paths(
     rays = PathRays(scene, samples, effects, seed)
     blocks = rays.blocks(vertices)
     size = num_coefficients(bandlimit)
-    result = _Sums(np.concatenate(blocks), len(scene.receivers), channels, size)
+    result = _Sums(np.concatenate(blocks), len(scene.receivers), channels, size, rays.brightest)
     for count in overlapped(blocks, rays.trace, lambda ends: result.add(ends, bandlimit)):
         advance(count)
     return result.finished()
@@ -272,10 +280,9 @@ def trace_paths(
 class _Sums:
     """Paths added up, block by block in the order of ``rows``."""
 
-    def __init__(self, rows: NDArray[np.int64], vertices: int, channels: int, size: int) -> None:
-        self._rows, self._vertices, self._channels = rows, vertices, channels
+    def __init__(self, rows: NDArray[np.int64], vertices: int, channels: int, size: int, brightest: float) -> None:
+        self._rows, self._vertices, self._channels, self._brightest = rows, vertices, channels, brightest
         self._escaped = np.zeros((2, rows.size, channels, size), dtype=np.float32)
-        self._received = np.zeros(rows.size, dtype=np.float32)
         self._entries: list[tuple[NDArray, NDArray, NDArray, NDArray]] = []
         self._done = self._rays = 0
 
@@ -290,21 +297,17 @@ class _Sums:
         sign = np.where(ends.held_lanes % samples < samples // 2, 1, -1).astype(np.int8)
         values = (held[:, :, None] * ends.corners.weights[:, None]).transpose(1, 0, 2).reshape(self._channels, -1)
         self._entries.append((3 * among, ends.corners.vertices.ravel(), values.astype(np.float32), np.repeat(sign, 3)))
-        for lanes, amount in ((ends.lanes, throughput), (ends.held_lanes, held)):
-            self._received[block] += np.bincount(lanes // samples, amount.mean(axis=1), minlength=count)
         self._done, self._rays = self._done + count, self._rays + ends.rays
         return count
 
     def finished(self) -> PathLight:
-        counts, corners, values, signs = (
-            np.concatenate(parts, axis=-1) for parts in zip(*self._entries, strict=True)
-        )
+        counts, corners, values, signs = (np.concatenate(parts, axis=-1) for parts in zip(*self._entries, strict=True))
         self._entries.clear()
         starts = np.concatenate([[0], np.cumsum(counts)])
         wide = np.int64 if starts[-1] > np.iinfo(np.int32).max else np.int32
         shape = (self._rows.size, self._vertices)
         met = tuple(csr_array((data, corners.astype(wide), starts.astype(wide)), shape=shape) for data in values)
-        return PathLight(self._rows, self._escaped[0], self._escaped[1], met, signs, self._received, self._rays)
+        return PathLight(self._rows, self._escaped[0], self._escaped[1], met, signs, self._brightest, self._rays)
 
     def _in_channels(self, values: NDArray) -> NDArray[np.float64]:
         values = values.astype(np.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from slepian_prt.scene.mitsuba.instances import shapes_in
 from slepian_prt.scene.reflectance.path_effects import DIFFUSE, path_effect
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.effects import (
+    NOT_SIMULATED,
     OMITTED,
     SIMULATED,
     TOLERANCE,
@@ -66,6 +67,8 @@ class PathPilot:
         Part of the receivers that the pilot was chosen from.
     followed : dict of str to float
         Rays that each of the first directions takes beyond the first, in the mean.
+    failed : str
+        Why Mitsuba cannot follow paths in the scene; empty if it can.
     """
 
     present: tuple[str, ...]
@@ -73,6 +76,7 @@ class PathPilot:
     amounts: dict[str, NDArray[np.float64]]
     share: float
     followed: dict[str, float]
+    failed: str = ""
 
     @classmethod
     def none(cls) -> PathPilot:
@@ -101,9 +105,7 @@ class PathPilot:
         return PathPlan(chosen, receivers, first_directions(samples))
 
 
-def decide(
-    pilot: PathPilot, blocked: Estimate, effects: str, samples: int
-) -> tuple[list[Effect], PathPlan | None]:
+def decide(pilot: PathPilot, blocked: Estimate, effects: str, samples: int) -> tuple[list[Effect], PathPlan | None]:
     """Rows about the effects of paths, and what to simulate of them.
 
     Parameters
@@ -117,6 +119,10 @@ def decide(
         As of `precompute`.
     """
     wanted = wanted_effects(effects)
+    if pilot.failed:
+        reason = f"Mitsuba cannot follow paths here ({pilot.failed})"
+        names = [_NAMES.get(effect, effect) for effect in pilot.present]
+        return [Effect(name, NOT_SIMULATED, None, None, 0, reason) for name in names], None
     rows, chosen = [], []
     for effect in pilot.present:
         bound, count = part_of_light(pilot.contribution(effect), blocked), pilot.before[effect].size
@@ -132,7 +138,9 @@ def decide(
             verdict = SIMULATED
             chosen.append(effect)
             asked = "asked for; " if wanted is not None else ""
-            reason = f"{asked}{count} vertices see {_THINGS[effect]}, from which paths go on; the contribution is a bound"
+            reason = (
+                f"{asked}{count} vertices see {_THINGS[effect]}, from which paths go on; the contribution is a bound"
+            )
         rays = pilot.rays(effect, samples)
         rows.append(Effect(_NAMES.get(effect, effect), verdict, bound.mean, bound.half_width, rays, reason))
     if wanted is not None and effects != "all":
@@ -159,7 +167,11 @@ def look_at_paths(scene: Scene, possible: NDArray[np.int64], receivers: int, see
     done = 0
     albedo = scene.receivers.albedo.astype(np.float64)
     for block in rays.blocks(chosen):
-        ends = rays.trace(block)
+        try:
+            ends = rays.trace(block)
+        except RuntimeError as error:  # of a material or a medium, such as a bump map of a texture without slopes
+            reason = " ".join(str(error.__cause__ or error).split())
+            return replace(PathPilot.none(), present=present, failed=reason)
         seen = np.einsum("nk,nkc->nc", ends.corners.weights, albedo[ends.corners.vertices])
         for lanes, numbers, values in (
             (ends.lanes, ends.effects, ends.throughput),

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.paths.media import media_of
+from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.direct import DirectTransfer

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from slepian_prt.scene.reflectance.bsdf_parts import all_bsdfs
 from slepian_prt.scene.reflectance.materials import lets_all_light_through
 
@@ -25,9 +27,12 @@ def path_effect(mi: Any, bsdf: Any) -> str | None:
 
     ``media`` is that of boundaries which all light passes: they are there for what they enclose.
     """
+    flags = mi.BSDFFlags
+    lobes = int(bsdf.flags()) & int(flags.All)
+    if lobes in (0, int(flags.DiffuseReflection)):
+        return DIFFUSE if lobes else None
     if lets_all_light_through(mi, bsdf):
         return "media"
-    flags = mi.BSDFFlags
     parts = list(all_bsdfs(mi, bsdf))
 
     def has(part: Any, *some: Any) -> bool:
@@ -43,9 +48,18 @@ def path_effect(mi: Any, bsdf: Any) -> str | None:
         return "glass" if bent or kinds & set(_GLASS) else "transmission"
     if has(bsdf, *glossy):
         return "mirrors" if kinds & set(_MIRRORS) else "gloss"
-    return DIFFUSE if has(bsdf, flags.DiffuseReflection) else None
+    return DIFFUSE
 
 
 def passes_light(mi: Any, bsdf: Any) -> bool:
     """Whether light comes through the material, so that to be behind it is not to be inside something."""
     return path_effect(mi, bsdf) in ("media", "opacity", "glass", "transmission")
+
+
+def densest_glass(mi: Any, bsdf: Any) -> float:
+    """The relative index of refraction of a boundary, from its denser side; 1 of what does not bend light."""
+    if bsdf.class_name() not in ("SmoothDielectric", "RoughDielectric", "Principled"):
+        return 1.0
+    parameters = mi.traverse(bsdf)
+    eta = float(np.max(np.array(parameters["eta"]))) if "eta" in parameters else 1.0
+    return max(eta, 1.0 / eta)
