@@ -144,7 +144,7 @@ def _scenes(mi: Any) -> dict[str, tuple[str, dict[str, Any]]]:
             "volpath",
             {"floor": floor(), "ball": ball({"type": "roughdielectric", "alpha": 0.1}, interior=marble)},
         ),
-        "curtain": ("path", {**room, "curtain": {**sheet(mask), "to_world": place().translate([0, 0.8, 0]).scale(0.8)}}),
+        "curtain": ("path", {**room, "curtain": {**sheet(mask), "to_world": place().translate([0, 1, 0]).scale(0.8)}}),
         "metal bowl": (
             "path",
             {"floor": floor(), "bowl": {"type": "cylinder", "p0": [0, 0, 0], "p1": [0, 0, 0.6], "radius": 0.7,
