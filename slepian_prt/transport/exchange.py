@@ -27,6 +27,7 @@ from slepian_prt.transport.interreflection import (
 )
 from slepian_prt.transport.path_light import PathLight, trace_paths
 from slepian_prt.transport.planned import PlannedScene
+from slepian_prt.transport.smoothing import relative_noise, smooth, surface_guides, variance_of_halves
 
 log = logging.getLogger(__name__)
 
@@ -140,16 +141,61 @@ class _Solver:
         source = None if paths is None else self._source
         vectors = add_bounces(self._exchange, self._albedo, vectors[:, 0], self._channels, bounces, source)
         interior.fill(vectors)
+        noise = None
+        if paths is not None:
+            _remark_on_energy(self._planned, paths, vectors)
+            self._planned.clock.stop("bounces")
+            noise = self._take_out_noise(paths, vectors, bounces)
+            self._planned.clock.stop("smoothing")
         if fixed is not None:
             bounced = bounced_light(self._exchange, self._albedo, fixed.direct, self._channels, settings.bounces)
             for light in bounced:
                 interior.fill(light)
             fixed = replace(fixed, bounced=bounced)
         rays = sum(part.rays for part in (self._gather, paths) if part is not None)
-        if paths is not None:
-            _remark_on_energy(self._planned, paths, vectors)
-        self._planned.clock.stop("bounces" if paths is not None else "interreflection")
-        return Exchanged(vectors, fixed, bounces, rays, None if paths is None else self._noise(vectors, bounces))
+        if paths is None:
+            self._planned.clock.stop("interreflection")
+        return Exchanged(vectors, fixed, bounces, rays, noise)
+
+    def _take_out_noise(self, paths: PathLight, vectors: NDArray[np.float32], bounces: int) -> float:
+        """Smooth what paths brought along the surface, in place; returns the relative noise that is left.
+
+        What surfaces reflect of the difference follows: (1 - R diag(ρ))⁻¹ of it is added.
+        """
+        receivers = self._planned.scene.receivers
+        brought, error = np.zeros_like(vectors), np.zeros_like(vectors)
+        for channel in range(self._channels):
+            light, albedo = vectors[:, channel], self._albedo_of(channel)
+            brought[:, channel] = self._source(channel, slice(None))
+            error[paths.rows, channel] = paths.escaped_error[:, channel]
+            if bounces > 0:
+                brought[:, channel] += paths.reflected(albedo, light, channel)
+                error[paths.rows, channel] += paths.error(albedo, light, channel)
+        self._interior.fill(brought)
+        variance = variance_of_halves(error, receivers.neighbours)
+        if self._planned.settings.smooth:
+            smoothed = smooth(brought, variance, receivers.neighbours, surface_guides(receivers.normals))
+            variance = smoothed.variance
+            change = np.zeros_like(brought)
+            change[paths.rows] = smoothed.vectors[paths.rows] - brought[paths.rows]
+            vectors += self._spread(change, bounces)
+            self._interior.fill(vectors)
+        return relative_noise(variance, vectors)
+
+    def _spread(self, light: NDArray[np.float32], bounces: int) -> NDArray[np.float32]:
+        """(V, channels, M) light, and what surfaces reflect of it onto each other."""
+        if self._gather is None:
+            return light
+        none = np.zeros((len(light), light.shape[2]), dtype=np.float32)
+
+        def source(channel: int, columns: slice) -> NDArray[np.float32]:
+            return light[:, channel, columns]
+
+        return add_bounces(self._gather, self._albedo, none, self._channels, bounces, source)
+
+    def _albedo_of(self, channel: int) -> NDArray[np.float32]:
+        albedo = self._albedo.mean(axis=1) if self._channels == 1 else self._albedo[:, channel]
+        return albedo.astype(np.float32)
 
     def _source(self, channel: int, columns: slice) -> NDArray[np.float32]:
         """What paths bring from the sky; vertices inside other geometry get what those before it get."""
@@ -170,19 +216,6 @@ class _Solver:
             first = self._source(channel, slice(0, 1))[:, 0] * _WHITE
             counts.append(count_bounces(self._exchange, columns[channel], ambient + first, channel))
         return max(counts)
-
-    def _noise(self, vectors: NDArray[np.float32], bounces: int) -> float:
-        """Relative RMS of what the two halves of the paths differ by."""
-        assert self._paths is not None
-        squares = 0.0
-        for channel in range(self._channels):
-            error = self._paths.escaped_error[:, channel].astype(np.float32, copy=True)
-            if bounces > 0:
-                albedo = self._albedo.mean(axis=1) if self._channels == 1 else self._albedo[:, channel]
-                error += self._paths.error(albedo.astype(np.float32), vectors[:, channel], channel)
-            squares += float(np.sum(error.astype(np.float64) ** 2))
-        whole = float(np.sum(vectors.astype(np.float64) ** 2))
-        return math.sqrt(squares / whole) if whole > 0.0 else 0.0
 
 
 def _remark_on_energy(planned: PlannedScene, paths: PathLight, vectors: NDArray[np.float32]) -> None:

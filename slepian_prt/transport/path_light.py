@@ -117,12 +117,13 @@ class PathRays:
         """Follow the paths of a block of receivers; of those within media, all."""
         import drjit as dr
 
+        lane: Any
         mi = self._scene.mi
         place, ray = self._first_rays(vertices)
         hit = self._scene.geometry.ray_intersect_preliminary(ray)
         effect = self._held.first_met(ray, hit)
         medium: Any = None
-        within: Any = mi.Bool(False)
+        within: Any = False
         if self._follows_media:
             medium = dr.gather(mi.MediumPtr, media_around(self._scene, vertices), place)
             within = medium != mi.MediumPtr(None)
@@ -137,7 +138,7 @@ class PathRays:
         self._sampler.seed(mi.UInt32(int(seed)), lanes.size)
         if medium is not None:
             medium, within = dr.gather(mi.MediumPtr, medium, lane), dr.gather(mi.Bool, within, lane)
-        ends = self._tracer.follow(self._sampler, ray, hit=hit, medium=medium, first_known=~within)
+        ends = self._tracer.follow(self._sampler, ray, hit=hit, medium=medium, first_known=~mi.Bool(within))
         dr.eval(ends.escaped, ends.held, ends.throughput, ends.ray, ends.hit, ends.points)
         out, on = np.flatnonzero(np.array(ends.escaped)), np.flatnonzero(np.array(ends.held))
         throughput = np.array(ends.throughput).T

@@ -35,6 +35,8 @@ class TransportSettings:
         Of a mesh file without normals.
     parameters : dict of str to number, bool or str, or None
         Of an .xml scene; kept as strings.
+    smooth : bool
+        Whether noise of paths is taken out along the surface.
 
     Raises
     ------
@@ -51,6 +53,7 @@ class TransportSettings:
     seed: int = 0
     crease_angle: float | None = None
     parameters: Mapping[str, object] | None = None
+    smooth: bool = True
 
     def __post_init__(self) -> None:
         numbers = {

@@ -146,6 +146,7 @@ def precompute(
     seed: int = 0,
     crease_angle: float | None = None,
     parameters: Mapping[str, object] | None = None,
+    smooth: bool = True,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Transfer:
@@ -178,6 +179,9 @@ def precompute(
         Degrees: edges of a mesh file sharper than this are hard, where the file gives no normals. By default none is.
     parameters : dict of str to number, bool or str, optional
         Values of the parameters of an .xml scene, which stand there as ``$name``.
+    smooth : bool
+        Whether noise of light that comes by way of mirrors, glass and the like is taken out along the surface, as far
+        as it was measured.
     on_plan : callable
         Given the effects plan before the heavy work begins.
     advance : callable
@@ -190,7 +194,9 @@ def precompute(
     ValueError
         Bandlimit, samples, bounces or effects out of range.
     """
-    settings = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle, parameters)
+    settings = TransportSettings(
+        bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle, parameters, smooth
+    )
     with plan_scene(scene, settings, on_plan) as planned:
         return compute_transfer(planned, advance)
 

@@ -33,7 +33,8 @@ FOG = """<bsdf type="null"/><medium type="homogeneous" name="interior">
 <rgb name="sigma_t" value=".5, .7, .9"/><float name="scale" value="3"/>
 <rgb name="albedo" value="0.9, .8, .7"/><phase type="hg"><float name="g" value="0.4"/></phase></medium>"""
 MILK = """<bsdf type="roughdielectric"><float name="alpha" value=".3"/></bsdf>
-<medium type="homogeneous" name="interior"><float name="sigma_t" value="4"/><rgb name="albedo" value="0.9, .8, .7"/></medium>"""
+<medium type="homogeneous" name="interior"><float name="sigma_t" value="4"/>
+<rgb name="albedo" value="0.9, .8, .7"/></medium>"""
 DIFFUSE = '<bsdf type="twosided"><bsdf type="diffuse"><rgb name="reflectance" value=".7, .3, .2"/></bsdf></bsdf>'
 MASK = f"""<bsdf type="mask"><texture name="opacity" type="checkerboard"><rgb name="color0" value=".2"/>
 <rgb name="color1" value=".9"/></texture>{DIFFUSE}</bsdf>"""
