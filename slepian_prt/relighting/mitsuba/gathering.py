@@ -138,7 +138,7 @@ class Gatherer:
 
         # ---------------- Light straight from emitters -------------
 
-        if self._lamps.count and self._fixed_lights:
+        if self._lamps.count:
             on_held = self._lamps.on_held(scene, HeldPoint(si, material, path.medium), sampler, here)
             path.L += path.β * self._fixed_lights * on_held
         point = Scatterer(mi, self._media, si, material, path.medium, flight, path.active & going_on)
