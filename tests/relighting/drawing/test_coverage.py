@@ -79,7 +79,7 @@ def test_a_camera_may_be_in_a_medium(declared, ball, white, tmp_path):
     camera = (
         '<sensor type="perspective"><float name="fov" value="5"/><transform name="to_world">'
         '<lookat origin="40, 0, -4" target="40, 0, 0" up="0, 1, 0"/></transform>'
-        f'{FOG.format("fog", 0.05, 1.0)}</sensor>'
+        f"{FOG.format('fog', 0.05, 1.0)}</sensor>"
     )
     fog = FOG.format("interior", 0.05, 1.0)
     around = f'<shape type="sphere"><float name="radius" value="60"/><bsdf type="null"/>{fog}</shape>'

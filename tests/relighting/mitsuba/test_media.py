@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
-from tests.relighting.mitsuba.scenes import camera, runs
+from tests.relighting.mitsuba.scenes import VARIANTS, camera, runs
 from tests.relighting.mitsuba.test_gathering import SHINE, above_floor, ball, constant_lighting, floor  # noqa: F401
 from tests.statistics import assert_agree, in_blocks
 
@@ -132,3 +132,28 @@ def test_lamps_light_held_surfaces_through_media(name, mi, floor):  # noqa: F811
     b = in_blocks(runs(mi, scene, 12, integrator=theirs, spp=64, sensor=view), 4)
     assert a.mean() > 0.01
     assert_agree(a, b, bias=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_media_in_all_variants(variant, mi, floor):  # noqa: F811
+    """White light and fog without colour: the same in each."""
+    file, packed = floor
+    grey = {"type": "homogeneous", "sigma_t": 2.0, "albedo": 0.8, "phase": {"type": "rayleigh"}}
+    density = np.random.default_rng(0).random((3, 3, 3, 1)).astype(np.float32)
+
+    def mean(name):
+        mi.set_variant(name)
+        grid = {"type": "gridvolume", "grid": mi.VolumeGrid(density), "raw": True}
+        cloud = {"type": "heterogeneous", "sigma_t": grid | {"to_world": mi.ScalarTransform4f().translate([-1, 1, 0])}}
+        things = {
+            "fog": cube(mi, interior=grey),
+            "cloud": {"type": "sphere", "center": [-0.9, 1.5, 0.5], "radius": 0.7, "bsdf": NULL, "interior": cloud},
+        }
+        scene = above_floor(mi, file, things, {"type": "constant"})
+        own = scene_integrator(mi, packed, albedo="scene")
+        return np.array(mi.render(scene, integrator=own, spp=256, seed=1))[..., :3].mean(axis=(0, 1))
+
+    wanted = mean("llvm_ad_rgb")
+    found = mean(variant)
+    np.testing.assert_allclose(found, np.resize(wanted, found.shape), rtol=0.02)
