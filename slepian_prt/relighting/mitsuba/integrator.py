@@ -109,7 +109,8 @@ class SlepianIntegrator:
     Paths are followed as by Mitsuba's ``path``: emitters and materials are sampled, mirrors and glass passed, until a
     surface is met that a ``.prt`` file holds. There the diffuse lobe ends: what it reflects is what the file says of
     the distant light, with all bounces, and of the bounces of lamps, times the albedo at that very point; lamps
-    themselves are sampled. Other lobes of that material go on. For what files hold this is without bias.
+    themselves are sampled. Other lobes of that material go on. For what files hold this is without bias. In scenes with
+    participating media paths are those of ``volpath``.
 
     ====================  =======  ===================================================================================
     Parameter             Type     Meaning
@@ -137,8 +138,8 @@ class SlepianIntegrator:
     Gradients, in both modes, go to what camera rays meet first: to the texels and scale of an ``envmap``, to
     ``albedo``, and to diffuse reflectance that is taken from the scene; not to what is gathered, and not to geometry.
 
-    It does not work in ``scalar_*`` variants. Light that mirrors, glass and metals send onto held surfaces, which the
-    file does not know, is missing, and so are participating media. Mitsuba's log says what of a scene that concerns.
+    It does not work in ``scalar_*`` variants. Light that mirrors, glass, metals and media send onto held surfaces is as
+    far in the picture as it was simulated when the file was made. Mitsuba's log says what the file does not know.
 
     .. code-block:: python
 
@@ -315,7 +316,9 @@ class SlepianIntegrator:
                 mi, self._cache, self._lobes, lamps, self._media, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
-        texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]
+        texts = [
+            text for transfer in bound for text in transfer.warnings(scene, self._albedo, media=self._media.present)
+        ]
         for text in texts:
             if text not in self._warnings:  # shapes that move are matched again for every picture
                 self._warnings.add(text)
