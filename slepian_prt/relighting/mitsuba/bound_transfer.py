@@ -154,7 +154,7 @@ class BoundTransfer:
             row.name == "media" and row.verdict in (SIMULATED, OMITTED) for row in self.packed.effects
         ):
             texts.append(
-                f"{self.name} knows no participating media: they are drawn, but its shapes are lit as if there were none"
+                f"{self.name} knows no participating media: they are drawn, but its shapes lit as without them"
             )
         if self._bounced.unknown:
             names = ", ".join(self._bounced.unknown)

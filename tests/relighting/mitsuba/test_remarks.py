@@ -45,7 +45,7 @@ def test_media_are_told_of_that_a_file_does_not_know(verdict, mi, folder, log):
     lit = {"lighting": np.ones((3, 49))}
     integrator = scene_integrator(mi, replace(packed, effects=(*packed.effects, *rows), source="bumpy.prt"), **lit)
     picture(mi, scene, integrator=integrator, spp=1)
-    told = "bumpy.prt knows no participating media: they are drawn, but its shapes are lit as if there were none"
+    told = "bumpy.prt knows no participating media: they are drawn, but its shapes lit as without them"
     wanted = [] if verdict in ("omitted", "simulated") else [f"slepian_prt: {told}"]
     assert [text for text in log if "media" in text] == wanted
 
