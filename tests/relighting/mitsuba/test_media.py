@@ -28,6 +28,7 @@ def smoke(mi, seed=0):
 
 FOG = {"type": "homogeneous", "scale": 2.0, "sigma_t": rgb(1.0, 0.5, 0.2), "albedo": rgb(0.9, 0.7, 0.8)}
 FORWARD = {"type": "homogeneous", "sigma_t": 1.5, "albedo": 0.9, "phase": {"type": "hg", "g": 0.7}}
+MIST = FORWARD | {"sigma_t": 0.15}
 DYE = {"type": "homogeneous", "scale": 3.0, "sigma_t": rgb(0.1, 0.5, 1.0), "albedo": 0.0}
 MILK = {"type": "homogeneous", "scale": 8.0, "sigma_t": rgb(0.5, 0.7, 1.0), "albedo": rgb(0.98, 0.9, 0.8)}
 
@@ -41,11 +42,23 @@ def sphere(radius, **others):
     return ball(NULL, **others) | {"radius": radius}
 
 
-def lamp(mi, **others):
-    place = mi.ScalarTransform4f().translate([0.4, 1.9, 0.3]).rotate([1, 0, 0], 90).scale(0.3)
+def lamp(mi, size=0.3, height=1.9, **others):
+    place = mi.ScalarTransform4f().translate([0.4, height, 0.3]).rotate([1, 0, 0], 90).scale(size)
     emitter = {"type": "area", "radiance": rgb(9.0, 7.0, 5.0)}
     black = {"type": "diffuse", "reflectance": 0.0}
     return {"type": "rectangle", "to_world": place, "emitter": emitter, "bsdf": black, **others}
+
+
+def pool(mi):
+    """Of dye, above all of the floor."""
+    place = mi.ScalarTransform4f().translate([0, 0.251, 0]).scale([1.9, 0.25, 1.9])
+    return {"type": "cube", "to_world": place, "bsdf": NULL, "interior": DYE | {"scale": 15.0}}
+
+
+def standing(mi):
+    """A lamp from the floor up to the top of the pool."""
+    place = mi.ScalarTransform4f().translate([0, 0.25, -0.5]).scale([1.0, 0.24, 1.0])
+    return lamp(mi) | {"to_world": place, "exterior": DYE | {"scale": 15.0}}
 
 
 POINT = {"type": "point", "position": [0.6, 1.2, 0.5], "intensity": rgb(2.0, 3.0, 4.0)}
@@ -54,18 +67,22 @@ POINT = {"type": "point", "position": [0.6, 1.2, 0.5], "intensity": rgb(2.0, 3.0
 SCENES = {
     "fog": lambda mi: ({"fog": cube(mi, interior=FOG)}, None),
     "smoke": lambda mi: ({"smoke": cube(mi, interior=smoke(mi))}, None),
-    "milk": lambda mi: ({"milk": ball({"type": "roughdielectric", "alpha": 0.2}, interior=MILK)}, None),
+    "milk": lambda mi: ({"milk": ball({"type": "roughdielectric", "alpha": 0.4}, interior=MILK), "lamp": POINT}, None),
     "dyed glass": lambda mi: ({"glass": ball({"type": "dielectric"}, interior=DYE)}, None),
     "a mirror in fog": lambda mi: (
         {"fog": cube(mi, interior=FORWARD), "mirror": ball({"type": "conductor"}, 0.7, 0.3)},
         None,
     ),
-    "a camera in fog, where there is glass": lambda mi: (
-        {"fog": sphere(9.0, interior=FORWARD), "glass": ball({"type": "dielectric"}, exterior=FORWARD)},
-        FORWARD,
+    "a camera in mist, where there is glass": lambda mi: (
+        {"fog": sphere(9.0, interior=MIST), "glass": ball({"type": "dielectric"}, exterior=MIST)},
+        MIST,
     ),
     "a lamp in fog": lambda mi: ({"fog": cube(mi, interior=FOG), "lamp": POINT}, None),
     "a lamp above smoke": lambda mi: ({"smoke": cube(mi, interior=smoke(mi)), "lamp": lamp(mi)}, None),
+    "a wide lamp close to fog": lambda mi: (
+        {"fog": cube(mi, interior=FORWARD), "lamp": lamp(mi, 0.8, 1.5)},
+        None,
+    ),
     "sheets of fog": lambda mi: (
         {
             "fog": cube(mi, interior=FOG),
@@ -105,10 +122,12 @@ def test_light_comes_through_media_and_from_them(name, mi, floor):  # noqa: F811
 
 LIT = {
     "dye before a lamp": lambda mi: ({"dye": cube(mi, interior=DYE), "lamp": lamp(mi)}, None),
+    "dye before a wide lamp": lambda mi: ({"dye": cube(mi, interior=DYE), "lamp": lamp(mi, 1.5)}, None),
     "dye before a point": lambda mi: (
         {"dye": cube(mi, interior=DYE), "lamp": POINT | {"position": [0.5, 2.0, 0.5]}},
         None,
     ),
+    "a lamp that stands in dye": lambda mi: ({"dye": pool(mi), "lamp": standing(mi)}, None),
     "smoke that absorbs": lambda mi: ({"dye": cube(mi, interior=smoke(mi) | {"albedo": 0.0}), "lamp": lamp(mi)}, None),
     "all in dye": lambda mi: (
         {"dye": sphere(9.0, interior=DYE | {"scale": 0.2}), "lamp": lamp(mi)},
