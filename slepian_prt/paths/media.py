@@ -109,7 +109,8 @@ class Media:
             β = dr.select(
                 met, _over(β * dr.select(hit, scattering, fictitious) * (real + null), dr.select(hit, real, null)), β
             )
-            return sampler, met & ~hit & (dr.max(dr.abs(β)) > 0.0), dr.select(met, to, t), β, scattered | hit
+            goes_on = met & ~hit & (dr.max(dr.abs(β)) > 0.0)
+            return sampler, goes_on, dr.select(met, to, t), mi.UnpolarizedSpectrum(β), scattered | hit
 
         state = (sampler, mi.Bool(active), mi.Float(begin), mi.UnpolarizedSpectrum(throughput), mi.Bool(False))
         if self._vary:
@@ -134,7 +135,7 @@ class Media:
         begin, end = self._extent(ray, distance, medium, active)
         majorant = medium.get_majorant(self._place(ray, begin, medium), active)
         length = dr.maximum(end - begin, 0.0)
-        passed = dr.select(active & (majorant > 0.0), dr.exp(-majorant * length), 1.0)
+        passed = mi.UnpolarizedSpectrum(dr.select(active & (majorant > 0.0), dr.exp(-majorant * length), 1.0))
         if not self._vary:
             return passed
         varies = active & ~medium.is_homogeneous()
@@ -148,9 +149,14 @@ class Media:
             likely = dr.minimum(dr.max(passed) / _FAINT, 1.0)
             goes_on = sampler.next_1d(on) < likely
             passed = dr.select(on, dr.select(goes_on, _over(passed, likely), 0.0), passed)
-            return sampler, on & goes_on, t, passed
+            return sampler, on & goes_on, t, mi.UnpolarizedSpectrum(passed)
 
-        tracked = (sampler, varies & (rate > 0.0), mi.Float(begin), dr.select(varies, 1.0, passed))
+        tracked = (
+            sampler,
+            varies & (rate > 0.0),
+            mi.Float(begin),
+            mi.UnpolarizedSpectrum(dr.select(varies, 1.0, passed)),
+        )
         return dr.while_loop(tracked, lambda _sampler, on, *_: on, collide, label="slepian_prt: transmittance")[3]
 
     def _extent(self, ray: Any, distance: Any, medium: Any, active: Any) -> tuple[Any, Any]:
@@ -240,7 +246,7 @@ class Media:
             on = met & (dr.max(passed) > 0.0)
             onward = dr.select(bounded, si.spawn_ray_to(end), si.spawn_ray(ray.d))
             medium = self.beyond(si, ray.d, medium, on)
-            return sampler, on, dr.select(on, onward, ray), hit, medium, passed
+            return sampler, on, dr.select(on, onward, ray), hit, medium, mi.UnpolarizedSpectrum(passed)
 
         start = (
             sampler, mi.Bool(active), mi.Ray3f(ray), dr.zeros(mi.PreliminaryIntersection3f, dr.width(ray)),

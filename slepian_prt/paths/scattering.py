@@ -6,6 +6,10 @@ from typing import Any, NamedTuple, Protocol
 
 from slepian_prt.paths.media import Flight, Media
 
+# Paths go on with this probability at most, once roulette decides: from surfaces as Mitsuba has it, and from particles
+# more often, since paths in clouds and milk are long, and the weights of the few that are left would be large.
+_FROM_SURFACES, _FROM_PARTICLES = 0.95, 0.99
+
 
 class SurfaceLobes(Protocol):
     """Lobes of materials at points of surfaces, as `Remainder` has them."""
@@ -68,6 +72,8 @@ class Scatterer:
     origin : Interaction3f
     active : Bool
         Whether anything does scatter.
+    most_likely : float or Float
+        With what probability paths go on at most where roulette ends them.
     """
 
     def __init__(
@@ -78,10 +84,12 @@ class Scatterer:
         self._mi, self._media, self._si, self._lobes = mi, media, si, lobes
         self._medium, self._flight = medium, flight
         self.origin, self.active = mi.Interaction3f(si), lobes.scatters
+        self.most_likely: Any = _FROM_SURFACES
         if flight is not None:
             self._particle = active & flight.scattered
             self.origin = dr.select(self._particle, mi.Interaction3f(flight.place), self.origin)
             self.active = self.active | self._particle
+            self.most_likely = dr.select(self._particle, _FROM_PARTICLES, _FROM_SURFACES)
 
     def medium_toward(self, direction: Any) -> Any:
         """MediumPtr, what lies in a direction (Vector3f, world)."""

@@ -19,9 +19,6 @@ from slepian_prt.paths.scattering import Scatterer
 # Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
 _ENDLESS = 0xFFFFFFFF
 
-# Paths go on with this probability at most, once roulette decides.
-_MOST_LIKELY = 0.95
-
 # Of paths that meet known surfaces which are not only diffuse, so many end there; the others go on without that lobe.
 _ENDING = 0.5
 
@@ -203,7 +200,7 @@ class PathTracer:
         largest = dr.max(dr.abs(β))
         active &= largest != 0.0
         points = points + dr.select(active, mi.UInt32(1), mi.UInt32(0))
-        likely = dr.minimum(largest * dr.square(η), _MOST_LIKELY)
+        likely = dr.minimum(largest * dr.square(η), point.most_likely)
         roulette = active & (points >= self._rr_depth)
         survives = sampler.next_1d() < likely
         β = dr.select(roulette, β / likely, β)

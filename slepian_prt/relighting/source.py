@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.paths.lobes import PLAIN, material_kind
+from slepian_prt.paths.media import media_of
 from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.mitsuba.files import load_xml
@@ -118,8 +119,8 @@ def open_source(mi: Any, packed: Transfer | CompressedTransfer, path: Path) -> S
 
 
 def calls_for_gathering(mi: Any, loaded: Any, packed: Transfer | CompressedTransfer) -> bool:
-    """Whether a Mitsuba scene has lamps, textures, gloss, or shapes that the file does not hold."""
-    if any(not emitter.is_environment() for emitter in loaded.emitters()):
+    """Whether a Mitsuba scene has lamps, textures, gloss, media, or shapes that the file does not hold."""
+    if any(not emitter.is_environment() for emitter in loaded.emitters()) or media_of(mi, loaded):
         return True
     held = {part.name for part in packed.parts}
     names = [shape_name(shape, index) for index, shape in enumerate(loaded.shapes())]

@@ -58,7 +58,7 @@ def scene_of(mi, material):
     })  # fmt: skip
 
 
-def relit(mi, scene, tracer, lighting, seed):
+def relit(mi, scene, tracer, lighting, seed, **options):
     """(h, w, 3) a picture as a sum over paths."""
     import drjit as dr
 
@@ -68,7 +68,7 @@ def relit(mi, scene, tracer, lighting, seed):
     pixel = dr.arange(mi.UInt32, count) // SAMPLES
     place = (mi.Point2f(mi.Float(pixel % SIZE), mi.Float(pixel // SIZE)) + sampler.next_2d()) / SIZE
     ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
-    sums = sum_paths(mi, BANDLIMIT, tracer.follow(sampler, ray), SAMPLES)
+    sums = sum_paths(mi, BANDLIMIT, tracer.follow(sampler, ray, **options), SAMPLES)
     return np.einsum("ncm,cm->nc", sums.vectors, lighting).reshape(SIZE, SIZE, 3) / SAMPLES
 
 

@@ -7,7 +7,9 @@ a surface is met that it does hold; textures are looked up at the point seen.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +20,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.lighting.emitters import emitted_environment, environment_emitter
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.lamps import lamp_places
+from slepian_prt.paths.media import media_of, medium_at
 from slepian_prt.relighting.drawing.camera import DEFAULT_WIDTH, middle_directions
 from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.relighting.mitsuba.remarks import heard_remarks
@@ -41,6 +44,9 @@ _TILE, _DARK = 8, 0.1
 _RAYS = 1 << 20
 
 _SEED = 17
+
+# Radiance (UnpolarizedSpectrum) and opacity (Float) of a scene, for a sampler and rays.
+Look = Callable[[Any, Any, Any], tuple[Any, Any]]
 
 # Of a map that is made from coefficients, in texels.
 _ROWS = 64
@@ -95,8 +101,9 @@ class SceneCamera:
             lamps = {name: emitters[place] for name, place in lamp_places(mi, self.loaded).items()}
             integrator = scene_integrator(mi, self.packed, lighting=light.lighting, lamps=lamps)
             scene = _relit_scene(mi, self.loaded, light)
+            look = partial(integrator.sample_before_nothing, medium=_medium_around(mi, self.loaded, self.sensor))
         with heard_remarks(mi) as remarks:
-            return _gather(mi, scene, integrator, self.sensor, self.samples), remarks
+            return _gather(mi, scene, look, self.sensor, self.samples), remarks
 
 
 def scene_camera(
@@ -142,13 +149,27 @@ def _relit_scene(mi: Any, loaded: Any, light: Light) -> Any:
     return load_keeping_ids(mi, {"type": "scene", **entries})
 
 
-def _gather(mi: Any, scene: Any, integrator: Any, view: Any, samples: int | None) -> Picture:
+def _medium_around(mi: Any, loaded: Any, sensor: Any) -> Any:
+    """The medium that a camera is in, if any: what the scene says of one in the same place, or what is around it."""
+    place = _place(sensor)
+    for own in loaded.sensors():
+        if own.get_medium() is not None and np.allclose(_place(own), place, rtol=1e-5, atol=0.0):
+            return own.get_medium()
+    return medium_at(mi, loaded, mi.Point3f(*place))[0] if media_of(mi, loaded) else None
+
+
+def _place(sensor: Any) -> list[float]:
+    """Of a camera in its scene."""
+    return [float(row) for row in np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4)[:3, 3]]
+
+
+def _gather(mi: Any, scene: Any, look: Look, view: Any, samples: int | None) -> Picture:
     """Mean radiance of each pixel over what rays meet, and the part of them that meet anything."""
     columns, rows = (int(n) for n in view.film().size())
     first = 0
     if samples is None:
         first = _PILOT_BATCH * _PILOT_BATCHES
-        wanted = _samples_wanted(_pilot(mi, scene, integrator, view), rows, columns)
+        wanted = _samples_wanted(_pilot(mi, scene, look, view), rows, columns)
     else:
         wanted = np.full(rows * columns, samples)
     total = np.zeros((rows * columns, 4))
@@ -156,21 +177,18 @@ def _gather(mi: Any, scene: Any, integrator: Any, view: Any, samples: int | None
         active = np.flatnonzero(wanted > taken)
         count = min(_BATCH, int(wanted.max()) - taken)
         numbers = range(first + taken, first + taken + count)
-        total[active] += count * _trace_pixels(mi, scene, integrator, view, active, numbers)
+        total[active] += count * _trace_pixels(mi, scene, look, view, active, numbers)
     mean = (total / wanted[:, None]).reshape(rows, columns, 4)
     return Picture(mean[..., :3].astype(np.float32), mean[..., 3].astype(np.float32))
 
 
-def _pilot(mi: Any, scene: Any, integrator: Any, view: Any) -> NDArray[np.float64]:
+def _pilot(mi: Any, scene: Any, look: Look, view: Any) -> NDArray[np.float64]:
     """(batches, pixels, 3) means of radiance over a few samples of each pixel."""
     columns, rows = (int(n) for n in view.film().size())
     pixels = np.arange(rows * columns)
     begins = range(0, _PILOT_BATCH * _PILOT_BATCHES, _PILOT_BATCH)
     return np.stack(
-        [
-            _trace_pixels(mi, scene, integrator, view, pixels, range(begin, begin + _PILOT_BATCH))[:, :3]
-            for begin in begins
-        ]
+        [_trace_pixels(mi, scene, look, view, pixels, range(begin, begin + _PILOT_BATCH))[:, :3] for begin in begins]
     )
 
 
@@ -196,15 +214,15 @@ def _samples_wanted(pilot: NDArray[np.float64], rows: int, columns: int) -> NDAr
 
 
 def _trace_pixels(
-    mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray[np.int64], numbers: range
+    mi: Any, scene: Any, look: Look, view: Any, pixels: NDArray[np.int64], numbers: range
 ) -> NDArray[np.float64]:
     """As `_trace`, as many at a time as memory allows."""
     each = max(_RAYS // len(numbers), 1)
     parts = (pixels[begin : begin + each] for begin in range(0, len(pixels), each))
-    return np.concatenate([_trace(mi, scene, integrator, view, part, numbers) for part in parts])
+    return np.concatenate([_trace(mi, scene, look, view, part, numbers) for part in parts])
 
 
-def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, numbers: range) -> NDArray[np.float64]:
+def _trace(mi: Any, scene: Any, look: Look, view: Any, pixels: NDArray, numbers: range) -> NDArray[np.float64]:
     """(n, 4) means of radiance where rays meet something, and of whether they do, over some samples of pixels."""
     import drjit as dr
 
@@ -224,9 +242,8 @@ def _trace(mi: Any, scene: Any, integrator: Any, view: Any, pixels: NDArray, num
     ray, _ = view.sample_ray_differential(0.0, 0.5, place, sampler.next_2d())
     ray.scale_differential(1.0 / math.sqrt(len(numbers)))
     with dr.suspend_grad():
-        met = scene.ray_test(ray)
-        radiance, _, _ = integrator.sample(scene, sampler, ray, None, met)
-        values = [*(dr.select(met, channel, 0.0) for channel in radiance), mi.Float(met)]
+        radiance, alpha = look(scene, sampler, ray)
+        values = [*radiance, alpha]
         dr.eval(values)
     return np.stack(
         [np.array(value, dtype=np.float64).reshape(len(pixels), -1).mean(axis=1) for value in values], axis=1

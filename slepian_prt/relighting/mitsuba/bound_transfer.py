@@ -17,6 +17,7 @@ from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_s
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
 from slepian_prt.scene.reflectance.materials import diffuse_reflectance
+from slepian_prt.transport.effects import OMITTED, SIMULATED
 
 # Warned of: mean reflectance of a material below this, where the file knows none; fraction of negative vertices above.
 _ALL_REFLECTED = 0.99
@@ -137,7 +138,7 @@ class BoundTransfer:
         """Shapes of the scene that is bound that are surely held wherever they are met, and on how many sides."""
         return [(shape, part.sides) for shape, part in self._matched.meshes]
 
-    def warnings(self, scene: Any, albedo: str) -> list[str]:
+    def warnings(self, scene: Any, albedo: str, *, media: bool) -> list[str]:
         """What of the scene that is bound is drawn otherwise than it says.
 
         Parameters
@@ -145,8 +146,16 @@ class BoundTransfer:
         scene : Mitsuba scene
         albedo : str
             Of the integrator.
+        media : bool
+            Whether there are participating media in the scene.
         """
         texts = []
+        if media and not any(
+            row.name == "media" and row.verdict in (SIMULATED, OMITTED) for row in self.packed.effects
+        ):
+            texts.append(
+                f"{self.name} knows no participating media: they are drawn, but its shapes lit as without them"
+            )
         if self._bounced.unknown:
             names = ", ".join(self._bounced.unknown)
             texts.append(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from slepian_prt.paths.media import Flight, Media
 from slepian_prt.paths.scattering import Scatterer
@@ -14,9 +14,6 @@ from slepian_prt.relighting.mitsuba.lobes import Lobes, Material
 
 # Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
 _ENDLESS = 0xFFFFFFFF
-
-# Paths go on with this probability at most, once roulette decides.
-_MOST_LIKELY = 0.95
 
 
 @dataclass(eq=False)
@@ -33,9 +30,29 @@ class _Path:
     depth: Any  # Number of points
     counts: Any  # Is what the point ahead sends part of L?
     covered: Any  # Is the ray covered?
+    passed: Any  # What of it goes past everything?
     before: Any  # Point before
     before_pdf: Any  # Density of the direction that was drawn there
     before_delta: Any  # Was it a mirror's?
+
+
+class Gathered(NamedTuple):
+    """What paths bring, on Mitsuba's arrays.
+
+    Attributes
+    ----------
+    radiance : UnpolarizedSpectrum
+        Beyond emission and held light of the first point.
+    covered : Bool
+        Whether anything is on the way but boundaries that all light passes.
+    passed : Float
+        How much of what is behind everything is seen unbent, where nothing is; 0 where the environment is part of the
+        picture.
+    """
+
+    radiance: Any
+    covered: Any
+    passed: Any
 
 
 class Gatherer:
@@ -79,9 +96,9 @@ class Gatherer:
         return material.scatters | (material.held & (self._lamps.count > 0))
 
     def gather(
-        self, scene: Any, sampler: Any, ray: Any, hit: Any, *, medium: Any = None, hide_emitters: bool, active: Any
-    ) -> tuple[Any, Any]:
-        """What paths bring beyond emission and held light of the first point: UnpolarizedSpectrum, and coverage.
+        self, scene: Any, sampler: Any, ray: Any, hit: Any, *, medium: Any = None, sees_environment: bool, active: Any
+    ) -> Gathered:
+        """What paths bring.
 
         Parameters
         ----------
@@ -92,8 +109,8 @@ class Gatherer:
             The first points.
         medium : Mitsuba medium or MediumPtr, optional
             That rays begin in. What first points send is weakened on the way, and is brought by the paths as well.
-        hide_emitters : bool
-            Whether what comes through nothing but null materials is no part of the picture.
+        sees_environment : bool
+            Whether what of it comes through nothing but null materials is part of the picture.
         active : Bool
         """
         import drjit as dr
@@ -110,14 +127,15 @@ class Gatherer:
             η=mi.Float(1.0),
             depth=mi.UInt32(0),
             counts=medium != mi.MediumPtr(None),
-            covered=mi.Bool(active & (not hide_emitters and scene.environment() is not None)),
+            covered=mi.Bool(active & (sees_environment and scene.environment() is not None)),
+            passed=mi.Float(0.0),
             before=dr.zeros(mi.Interaction3f, dr.width(ray)),
             before_pdf=mi.Float(1.0),
             before_delta=mi.Bool(True),
         )
         step = partial(self._step, scene)
         _, path = dr.while_loop((sampler, path), lambda _, path: path.active, step, label="slepian_prt: gathering")
-        return dr.select(path.covered, path.L, 0.0), path.covered
+        return Gathered(path.L, path.covered, path.passed)
 
     def _step(self, scene: Any, sampler: Any, path: _Path) -> tuple[Any, _Path]:
         import drjit as dr
@@ -126,7 +144,9 @@ class Gatherer:
         si = path.hit.compute_surface_interaction(path.ray, mi.RayFlags.All, path.active)
         flight = self._fly(sampler, path, si)
         arrives = path.active if flight is None else path.active & ~flight.scattered
-        self._add_emission(scene, path, si, arrives)
+        passes = arrives & ~si.is_valid() & ~path.covered
+        path.passed = dr.select(passes, dr.mean(path.β), path.passed)
+        self._add_emission(scene, path, si, arrives & ~passes)
 
         # ---------------- Light that a file holds ------------------
 
@@ -187,7 +207,7 @@ class Gatherer:
         # Past a null boundary lamps are seen from the point before it, where there are media.
         scattered = ~null if self._media.present else mi.Bool(True)
         path.depth = path.depth + dr.select(scattered, mi.UInt32(1), mi.UInt32(0))
-        likely = dr.minimum(largest * dr.square(path.η), _MOST_LIKELY)
+        likely = dr.minimum(largest * dr.square(path.η), point.most_likely)
         roulette = path.depth >= self._rr_depth
         path.active &= ~roulette | (sampler.next_1d() < likely)
         path.β = dr.select(roulette, path.β / likely, path.β)

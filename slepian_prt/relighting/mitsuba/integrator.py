@@ -93,6 +93,10 @@ def _plugin_class(mi: Any) -> Any:
                 log_warning(mi, str(error))  # `mi.render` raises an error of its own that does not say what is wrong
                 raise
 
+        def sample_before_nothing(self, scene: Any, sampler: Any, ray: Any, medium: Any = None) -> tuple[Any, Any]:
+            with without_collection():
+                return self.integrator.sample_before_nothing(scene, sampler, ray, medium)
+
     return SlepianPRT
 
 
@@ -105,7 +109,8 @@ class SlepianIntegrator:
     Paths are followed as by Mitsuba's ``path``: emitters and materials are sampled, mirrors and glass passed, until a
     surface is met that a ``.prt`` file holds. There the diffuse lobe ends: what it reflects is what the file says of
     the distant light, with all bounces, and of the bounces of lamps, times the albedo at that very point; lamps
-    themselves are sampled. Other lobes of that material go on. For what files hold this is without bias.
+    themselves are sampled. Other lobes of that material go on. For what files hold this is without bias. In scenes with
+    participating media paths are those of ``volpath``.
 
     ====================  =======  ===================================================================================
     Parameter             Type     Meaning
@@ -133,8 +138,8 @@ class SlepianIntegrator:
     Gradients, in both modes, go to what camera rays meet first: to the texels and scale of an ``envmap``, to
     ``albedo``, and to diffuse reflectance that is taken from the scene; not to what is gathered, and not to geometry.
 
-    It does not work in ``scalar_*`` variants. Light that mirrors, glass and metals send onto held surfaces, which the
-    file does not know, is missing, and so are participating media. Mitsuba's log says what of a scene that concerns.
+    It does not work in ``scalar_*`` variants. Light that mirrors, glass, metals and media send onto held surfaces is as
+    far in the picture as it was simulated when the file was made. Mitsuba's log says what the file does not know.
 
     .. code-block:: python
 
@@ -204,6 +209,31 @@ class SlepianIntegrator:
         differentiated, and what is gathered beyond that, which is not. ``skip_emitters`` is the method of the plugin
         that finds what lies behind shapes that emit.
         """
+        visible = not self._hide_emitters
+        L, covered, _ = self._follow(scene, sampler, ray, medium, active, skip_emitters, sees_environment=visible)
+        return without_polarization(self._mi, L), covered, []
+
+    def sample_before_nothing(self, scene: Any, sampler: Any, ray: Any, medium: Any) -> tuple[Any, Any]:
+        """Radiance along camera rays, UnpolarizedSpectrum, and how opaque what they meet is, Float.
+
+        The environment lights all that is seen, but nothing is behind it: what goes straight on through null lobes,
+        into the distance, is left out.
+        """
+        L, _, passed = self._follow(scene, sampler, ray, medium, True, None, sees_environment=False)
+        return L, 1.0 - passed
+
+    def _follow(
+        self,
+        scene: Any,
+        sampler: Any,
+        ray: Any,
+        medium: Any,
+        active: Any,
+        skip_emitters: Callable[..., Any] | None,
+        *,
+        sees_environment: bool,
+    ) -> tuple[Any, Any, Any]:
+        """Radiance, whether anything is on the way (Bool), and how much goes straight past everything (Float)."""
         import drjit as dr
 
         mi = self._mi
@@ -213,8 +243,10 @@ class SlepianIntegrator:
         L = mi.UnpolarizedSpectrum(0.0)
         covered = active & si.is_valid()
         if not self._hide_emitters and self._max_depth != 0:
-            L += mi.unpolarized_spectrum(si.emitter(scene).eval(si, active))
-            covered = active & (scene.environment() is not None or si.is_valid())
+            seen = active & (si.is_valid() | sees_environment)
+            L += mi.unpolarized_spectrum(si.emitter(scene).eval(si, seen))
+            covered = active & ((sees_environment and scene.environment() is not None) | si.is_valid())
+        passed = dr.select(covered, 0.0, 1.0)
 
         met = active & si.is_valid() & (not 0 <= self._max_depth <= 1)
         cached = self._cache.at(ray, hit, si, met)
@@ -226,11 +258,12 @@ class SlepianIntegrator:
                 more = self._gatherer.adds_to(material) & met
                 if medium is not None:  # all that comes through it is gathered
                     more, L = active & (self._max_depth != 0), mi.UnpolarizedSpectrum(0.0)
-                gathered, through = self._gatherer.gather(
-                    scene, sampler, ray, hit, medium=medium, hide_emitters=self._hide_emitters, active=more
+                found = self._gatherer.gather(
+                    scene, sampler, ray, hit, medium=medium, sees_environment=sees_environment, active=more
                 )
-            L, covered = dr.select(more, L + gathered, L), dr.select(more, through, covered)
-        return without_polarization(mi, L), covered, []
+            L, covered = dr.select(more, L + found.radiance, L), dr.select(more, found.covered, covered)
+            passed = dr.select(more, found.passed, passed)
+        return L, covered, passed
 
     def meets_held(self, scene: Any, ray: Any) -> Any:
         """Bool, whether rays meet a surface first whose diffuse light the files hold."""
@@ -283,7 +316,9 @@ class SlepianIntegrator:
                 mi, self._cache, self._lobes, lamps, self._media, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
-        texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]
+        texts = [
+            text for transfer in bound for text in transfer.warnings(scene, self._albedo, media=self._media.present)
+        ]
         for text in texts:
             if text not in self._warnings:  # shapes that move are matched again for every picture
                 self._warnings.add(text)

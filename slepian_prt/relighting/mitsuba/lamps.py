@@ -122,12 +122,14 @@ class Lamps:
         mi = self._mi
         begin, on_it, choice = sampler.next_1d(), sampler.next_2d(), sampler.next_1d()
 
-        def look(ray: Any, light: Any) -> Any:
+        def look(sampler: Any, ray: Any, light: Any) -> Any:
             drawn = [_fraction(value + mi.Float(ray) * _STEPS[0]) for value in (begin, *on_it, choice)]
-            return ray + 1, light + self._one_ray(scene, point, sampler, ray, drawn, active)
+            return sampler, ray + 1, light + self._one_ray(scene, point, sampler, ray, drawn, active)
 
-        state = (mi.UInt32(0), mi.UnpolarizedSpectrum(dr.zeros(mi.Float, dr.width(active))))
-        _, light = dr.while_loop(state, lambda ray, _: active & (ray < self._rays), look, label="slepian_prt: lamps")
+        state = (sampler, mi.UInt32(0), mi.UnpolarizedSpectrum(dr.zeros(mi.Float, dr.width(active))))
+        _, _, light = dr.while_loop(
+            state, lambda _sampler, ray, _: active & (ray < self._rays), look, label="slepian_prt: lamps"
+        )
         return light / self._rays
 
     def _one_ray(self, scene: Any, point: HeldPoint, sampler: Any, ray: Any, drawn: list[Any], active: Any) -> Any:

@@ -45,6 +45,9 @@ def move_scene(mi: Any, state: Any, center: NDArray) -> None:
         _move(mi, state.root.props, -center)
     else:
         _move_children(mi, state, state.root.props, -center)
+    for node in state.nodes:  # those of media stand in the world, whatever the shapes are that they are in
+        if node.type.name == "Volume" and node.props.plugin_name() != "constvolume":
+            _move(mi, node.props, -center)
 
 
 def _move_children(mi: Any, state: Any, parent: Any, by: NDArray) -> None:

@@ -13,6 +13,7 @@ from slepian_prt.relighting.mitsuba.remarks import heard_remarks, log_warning
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from slepian_prt.relighting.mitsuba.spectra import smooth_basis, smooth_spectra
 from slepian_prt.relighting.relight import relight
+from slepian_prt.transport.effects import Effect
 from tests.conftest import bumpy
 from tests.relighting.mitsuba.scenes import camera, envmap, loaded, packed_of, painted, picture, shape, sky
 from tests.statistics import assert_same_picture
@@ -34,10 +35,19 @@ def test_a_file_without_materials_is_told_of(mi, folder, tmp_path, log):
     assert not log
 
 
-def test_media_are_told_of(mi, folder, log):
+@pytest.mark.parametrize("verdict", [None, "not simulated", "omitted", "simulated"])
+def test_media_are_told_of_that_a_file_does_not_know(verdict, mi, folder, log):
+    """Files that were made without them; not those whose plan has decided about them."""
     fog = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous"}}
-    picture(mi, loaded(mi, folder, fog=fog), spp=1)
-    assert log == ["slepian_prt: participating media are not drawn: those of shapes 'fog'"]
+    packed = packed_of(folder)
+    rows = () if verdict is None else (Effect("media", verdict, 0.1, 0.01, 1000, ""),)
+    scene = mi.load_dict({"type": "scene", "bumpy": shape(mi, folder), "fog": fog, "sensor": camera(mi)})
+    lit = {"lighting": np.ones((3, 49))}
+    integrator = scene_integrator(mi, replace(packed, effects=(*packed.effects, *rows), source="bumpy.prt"), **lit)
+    picture(mi, scene, integrator=integrator, spp=1)
+    told = "bumpy.prt knows no participating media: they are drawn, but its shapes lit as without them"
+    wanted = [] if verdict in ("omitted", "simulated") else [f"slepian_prt: {told}"]
+    assert [text for text in log if "media" in text] == wanted
 
 
 def test_remarks_are_bare_sentences_and_made_once(mi, folder, log):

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from slepian_prt.paths.media import media_of
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.mitsuba.files import load_xml
 from slepian_prt.scene.mitsuba.recentering import coarse_receivers
 from slepian_prt.scene.receivers import Receivers
 from tests.numerics import assert_exact
@@ -111,6 +113,26 @@ def test_cameras_stand_in_the_world(tmp_path):
     with open_scene(write(tmp_path, camera.replace("perspective", "orthographic"), FAR)) as scene:
         matrix = np.array(scene.sensor.world_transform().matrix).reshape(4, 4)
         np.testing.assert_allclose(matrix[:3, 3] + scene.origin, FAR + [0, -9, 1.25], atol=1e-5)
+
+
+def test_smoke_is_where_its_shape_is(tmp_path):
+    """A grid between the corners of two unit cubes, whose medium is shared."""
+    with mitsuba() as mi:
+        mi.VolumeGrid(np.ones((2, 2, 2, 1), dtype=np.float32)).write(str(tmp_path / "smoke.vol"))
+    cubes = "".join(
+        f'<shape type="cube">{moved(FAR + [0, 0, z])}<bsdf type="null"/><ref id="smoke" name="interior"/></shape>'
+        for z in (1.0, 3.0)
+    )
+    smoke = (
+        '<medium type="heterogeneous" id="smoke"><volume type="gridvolume" name="sigma_t">'
+        f'<string name="filename" value="smoke.vol"/>{moved(FAR)}</volume></medium>'
+    )
+    with mitsuba() as mi:
+        scene, middle = load_xml(mi, write(tmp_path, smoke + cubes, FAR))
+        smoke = media_of(mi, scene)[0]
+        origin = mi.Point3f(*(FAR - middle + [-3.0, 0.5, 0.5]).tolist())
+        _, begin, end = smoke.intersect_aabb(mi.Ray3f(origin, mi.Vector3f(1, 0, 0)))
+        np.testing.assert_allclose([begin[0], end[0]], [3.0, 4.0], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
