@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -63,6 +64,8 @@ class Transfer(Summarised):
         Whether ``vectors`` hold the light that all materials send toward that camera, reflectance included.
     fixed : FixedLights or None
         What the scene's lamps send, where it has any.
+    noise : float or None
+        Relative RMS noise of ``vectors``, where paths were followed.
     """
 
     vectors: NDArray[np.float32]
@@ -82,6 +85,7 @@ class Transfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     fixed: FixedLights | None = None
+    noise: float | None = None
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -96,7 +100,11 @@ class Transfer(Summarised):
     def at_bandlimit(self, bandlimit: int) -> Transfer:
         """The same transfer with fewer degrees, without the scene's own light."""
         vectors = np.ascontiguousarray(self.vectors[:, :, : num_coefficients(bandlimit)])
-        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None)
+        noise, size = self.noise, float(np.linalg.norm(vectors))
+        if noise is not None and size > 0.0:  # alike in all coefficients
+            kept = vectors.shape[2] / self.vectors.shape[2]
+            noise *= math.sqrt(kept) * float(np.linalg.norm(self.vectors)) / size
+        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None, noise=noise)
 
     def save(self, path: str | Path) -> None:
         """Write all of it, uncompressed, as a NumPy ``.npz`` file, which `load_transfer` reads back.
@@ -126,6 +134,7 @@ class Transfer(Summarised):
             "rays_traced": self.rays_traced,
             "seconds": sum(self.seconds.values()),
             "environment": None if self.environment is None else self.environment.name,
+            "noise": self.noise,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }
