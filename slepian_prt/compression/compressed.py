@@ -65,6 +65,8 @@ class CompressedTransfer(Summarised):
         Whether this is transfer toward that camera.
     fixed : FixedLights or None
         What the scene's lamps send, where it has any.
+    path_noise : float or None
+        Relative RMS noise of the vectors that were compressed, where paths were followed.
     verified : dict of str to float
         Where a goal was set: relative RMS errors of relit radiance, measured on vertices held out, by light.
     verified_vertices : int
@@ -99,6 +101,7 @@ class CompressedTransfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     fixed: FixedLights | None = None
+    path_noise: float | None = None
     verified: dict[str, float] = field(default_factory=dict)
     verified_vertices: int = 0
     verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)
@@ -188,6 +191,7 @@ class CompressedTransfer(Summarised):
             "coding": self.coding,
             "bytes_per_vertex": self.bytes_per_vertex,
             "predicted_error": self.predicted_error,
+            "path_noise": self.path_noise,
             "light_prior": self.prior or None,
             "verified_error": verified or None,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
