@@ -17,6 +17,7 @@ from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.spectrum import falling_prior, light_power
+from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
@@ -65,6 +66,8 @@ class CompressedTransfer(Summarised):
         Whether this is transfer toward that camera.
     fixed : FixedLights or None
         What the scene's lamps send, where it has any.
+    film : Film or None
+        Of a camera whose pixels are the receivers.
     verified : dict of str to float
         Where a goal was set: relative RMS errors of relit radiance, measured on vertices held out, by light.
     verified_vertices : int
@@ -99,6 +102,7 @@ class CompressedTransfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     fixed: FixedLights | None = None
+    film: Film | None = None
     verified: dict[str, float] = field(default_factory=dict)
     verified_vertices: int = 0
     verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)
@@ -191,5 +195,6 @@ class CompressedTransfer(Summarised):
             "light_prior": self.prior or None,
             "verified_error": verified or None,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
+            "film": None if self.film is None else f"{self.film.width} x {self.film.height} of {self.film.name}",
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }

@@ -220,6 +220,7 @@ def encode_transfer(
         view=transfer.view,
         toward_view=transfer.toward_view,
         fixed=transfer.fixed,
+        film=transfer.film,
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
@@ -63,6 +64,8 @@ class Transfer(Summarised):
         Whether ``vectors`` hold the light that all materials send toward that camera, reflectance included.
     fixed : FixedLights or None
         What the scene's lamps send, where it has any.
+    film : Film or None
+        Of a camera whose pixels are the receivers: the vertices of ``mesh``, which lies flat then.
     """
 
     vectors: NDArray[np.float32]
@@ -82,6 +85,7 @@ class Transfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     fixed: FixedLights | None = None
+    film: Film | None = None
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -96,7 +100,8 @@ class Transfer(Summarised):
     def at_bandlimit(self, bandlimit: int) -> Transfer:
         """The same transfer with fewer degrees, without the scene's own light."""
         vectors = np.ascontiguousarray(self.vectors[:, :, : num_coefficients(bandlimit)])
-        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None)
+        film = None if self.film is None else self.film.at_bandlimit(bandlimit)
+        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None, film=film)
 
     def save(self, path: str | Path) -> None:
         """Write all of it, uncompressed, as a NumPy ``.npz`` file, which `load_transfer` reads back.
@@ -127,6 +132,7 @@ class Transfer(Summarised):
             "seconds": sum(self.seconds.values()),
             "environment": None if self.environment is None else self.environment.name,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
+            "film": None if self.film is None else f"{self.film.width} x {self.film.height} of {self.film.name}",
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }
 
