@@ -13,8 +13,8 @@ PACKAGE = Path(slepian_prt.__file__).parent
 # Each layer imports those before it; the modules beside the layers know nothing but each other.
 BESIDE = ("errors", "files", "summary", "examples")
 LAYERS = (
-    "sphere", "slepian", "renderer", "lighting", "scene", "transport", "compression", "relighting", "evaluation",
-    "accuracy", "cli",
+    "sphere", "slepian", "renderer", "lighting", "scene", "paths", "transport", "compression", "relighting",
+    "evaluation", "accuracy", "cli",
 )  # fmt: skip
 
 LONGEST_FILE = 400

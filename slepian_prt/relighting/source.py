@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.relighting.mitsuba.lobes import PLAIN, material_kind
+from slepian_prt.paths.lobes import PLAIN, material_kind
 from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.mitsuba.files import load_xml

@@ -40,7 +40,7 @@ def orders(bandlimit: int) -> NDArray[np.int64]:
 
 
 @cache
-def _legendre_factors(bandlimit: int) -> tuple[NDArray, NDArray, NDArray]:
+def legendre_factors(bandlimit: int) -> tuple[NDArray, NDArray, NDArray]:
     """Constants of the recurrence below: the start values at l = m, and a_lm, b_lm, indexed [l, m]."""
     l = np.arange(bandlimit + 1, dtype=np.float64)[:, None]
     m = np.arange(bandlimit + 1, dtype=np.float64)[None, :]
@@ -75,7 +75,7 @@ def legendre_polynomials(
     -------
     (L+1-m, n) array, degrees m..L.
     """
-    start, a, b = _legendre_factors(bandlimit)
+    start, a, b = legendre_factors(bandlimit)
     p = np.empty((bandlimit + 1 - order, z.size))
     p[0] = start[order]
     for l in range(order + 1, bandlimit + 1):
@@ -122,7 +122,7 @@ def real_sh(bandlimit: int, directions: ArrayLike, dtype: DTypeLike = np.float64
 
 def _evaluate(bandlimit: int, x: NDArray, y: NDArray, z: NDArray, out: NDArray) -> None:
     """Fill ``out`` (M, n). The recurrence of `legendre_polynomials`, keeping only three degrees at a time."""
-    start, a, b = _legendre_factors(bandlimit)
+    start, a, b = legendre_factors(bandlimit)
     n = z.size
     cos_m = np.empty((bandlimit + 1, n))  # sin^m θ cos mφ = Re (x + iy)^m
     sin_m = np.empty((bandlimit + 1, n))

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.paths.lobes import PLAIN, material_kind
 from slepian_prt.relighting.mitsuba.bounced_light import BouncedLight
 from slepian_prt.relighting.mitsuba.held_files import HeldFile
-from slepian_prt.relighting.mitsuba.lobes import PLAIN, material_kind
 from slepian_prt.relighting.mitsuba.remarks import log_warning
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
+from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, material_kind
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
 from slepian_prt.relighting.mitsuba.gathering import Gatherer
 from slepian_prt.relighting.mitsuba.held_files import held_file, is_in_memory
 from slepian_prt.relighting.mitsuba.lamps import Lamps
-from slepian_prt.relighting.mitsuba.lobes import LAMBERTIAN, PLAIN, Lobes, material_kind
+from slepian_prt.relighting.mitsuba.lobes import Lobes
 from slepian_prt.relighting.mitsuba.recording import without_collection
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
 from slepian_prt.renderer.shape_names import shape_name

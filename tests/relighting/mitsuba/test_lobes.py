@@ -5,8 +5,9 @@ import pytest
 import trimesh
 
 import slepian_prt as sp
+from slepian_prt.paths.lobes import LAMBERTIAN, NOT_DIFFUSE, PLAIN, SPLIT, WHOLE, material_kind
 from slepian_prt.relighting.mitsuba.cache import Cached
-from slepian_prt.relighting.mitsuba.lobes import LAMBERTIAN, NOT_DIFFUSE, PLAIN, SPLIT, WHOLE, Lobes, material_kind
+from slepian_prt.relighting.mitsuba.lobes import Lobes
 from tests.conftest import sphere
 from tests.relighting.mitsuba.scenes import camera, runs
 from tests.statistics import assert_agree, in_blocks

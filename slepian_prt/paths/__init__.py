@@ -1,0 +1,1 @@
+"""How light is followed through a scene of Mitsuba."""

@@ -1,0 +1,195 @@
+"""Paths through a scene, followed until they escape, or meet a surface whose light is known, or die.
+
+A path that escapes in direction ω with throughput β contributes β L(ω), whatever the distant light L is: β y_lm(ω) to
+the coefficients of transfer. No light is looked for on the way (distant light is all around), so that a path has one
+end, and one render serves any light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+from slepian_prt.paths.lobes import MaterialTable, Remainder
+
+# Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
+_ENDLESS = 0xFFFFFFFF
+
+# Paths go on with this probability at most, once roulette decides.
+_MOST_LIKELY = 0.95
+
+# Of paths that meet known surfaces which are not only diffuse, so many end there; the others go on without that lobe.
+_ENDING = 0.5
+
+
+class KnownSurfaces(Protocol):
+    """Surfaces whose diffuse reflection is known, so that paths need not go on from there."""
+
+    def at(self, ray: Any, hit: Any, si: Any, active: Any) -> tuple[Any, Any]:
+        """Where rays meet the scene, whether the diffuse reflection is known (Bool), and its albedo (Color3f).
+
+        Parameters
+        ----------
+        ray : Ray3f
+        hit : PreliminaryIntersection3f
+        si : SurfaceInteraction3f
+        active : Bool
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PathEnds:
+    """Where paths ended, on Mitsuba's arrays.
+
+    Attributes
+    ----------
+    escaped : Bool
+        Whether into the distance, in the direction of ``ray``.
+    held : Bool
+        Whether on a known surface, at ``hit``.
+    covered : Bool
+        Whether there was anything on the way but boundaries that all light passes.
+    throughput : Color3f
+        β, linear sRGB, without the albedo of the known surface; zero of paths that died.
+    ray : Ray3f
+        The last segment.
+    hit : PreliminaryIntersection3f
+        What that met.
+    points : UInt32
+        Number of points of the scene on the way.
+    """
+
+    escaped: Any
+    held: Any
+    covered: Any
+    throughput: Any
+    ray: Any
+    hit: Any
+    points: Any
+
+
+class PathTracer:
+    """Follows the BSDF samples of Mitsuba's materials through a scene.
+
+    Parameters
+    ----------
+    mi : Mitsuba, in an RGB variant, that of the scene
+    scene : Mitsuba scene
+        What emits light in it does not.
+    materials : iterable of Mitsuba BSDFs
+        Of its shapes.
+    known : KnownSurfaces, optional
+    max_depth, rr_depth : int
+        As of Mitsuba's ``path``.
+    """
+
+    def __init__(
+        self,
+        mi: Any,
+        scene: Any,
+        materials: Iterable[Any],
+        *,
+        known: KnownSurfaces | None = None,
+        max_depth: int = -1,
+        rr_depth: int = 5,
+    ) -> None:
+        self._mi, self._scene, self._known = mi, scene, known
+        self.table = MaterialTable(mi, materials)
+        self._max_depth, self._rr_depth = max_depth if max_depth >= 0 else _ENDLESS, rr_depth
+
+    def follow(
+        self,
+        sampler: Any,
+        ray: Any,
+        *,
+        hit: Any = None,
+        throughput: Any = None,
+        active: Any = True,
+        first_known: bool = False,
+    ) -> PathEnds:
+        """Follow paths from their first segments.
+
+        Parameters
+        ----------
+        sampler : Sampler
+            Seeded, of as many lanes as there are rays.
+        ray : Ray3f
+        hit : PreliminaryIntersection3f, optional
+            What they meet, where that is there already.
+        throughput : Color3f, optional
+            By default 1.
+        active : Bool
+        first_known : bool
+            Whether somebody else accounts for the known reflection of the first points: paths then go on from there
+            with what is left of the material, if anything.
+        """
+        import drjit as dr
+
+        mi = self._mi
+        active = mi.Bool(active)
+        if hit is None:
+            hit = self._scene.ray_intersect_preliminary(mi.Ray3f(ray), coherent=True, active=active)
+        state = (
+            sampler,
+            active,  # Is the path still going on?
+            mi.Ray3f(ray),  # Its last segment
+            hit,  # What that meets
+            mi.Color3f(1.0 if throughput is None else throughput),  # β: throughput
+            mi.Float(1.0),  # η: relative index of refraction, all along
+            mi.UInt32(0),  # Number of points
+            mi.Bool(False),  # Has it escaped?
+            mi.Bool(False),  # Has it ended on a known surface?
+            mi.Bool(False),  # Was there anything on the way?
+        )
+        step = partial(self._step, first_known)
+        state = dr.while_loop(state, lambda *state: state[1], step, label="slepian_prt: paths")
+        _, _, ray, hit, β, _, points, escaped, held, covered = state
+        return PathEnds(escaped, held, covered, dr.select(escaped | held, β, 0.0), ray, hit, points)
+
+    def _step(
+        self, first_known: bool, sampler: Any, active: Any, ray: Any, hit: Any, β: Any, η: Any, points: Any,
+        escaped: Any, held: Any, covered: Any,
+    ) -> tuple[Any, ...]:  # fmt: skip
+        import drjit as dr
+
+        mi = self._mi
+        si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
+        escaped |= active & ~si.is_valid()
+        active &= si.is_valid() & (points + 1 < self._max_depth)
+
+        # ----------------- Light that is known ---------------------
+
+        known, albedo = mi.Bool(False), mi.Color3f(0.0)
+        if self._known is not None:
+            known, albedo = self._known.at(ray, hit, si, active)
+        rest = Remainder(self.table, si, known, albedo, active)
+        if self._known is not None:
+            meets = rest.diffuse & ~((points == 0) & first_known)
+            share = dr.select(rest.scatters, _ENDING, 1.0)
+            ends = meets & (~rest.scatters | (sampler.next_1d() < _ENDING))
+            β = dr.select(meets, β / dr.select(ends, share, 1.0 - _ENDING), β)
+            held |= ends
+            active &= ~ends & rest.scatters
+            covered |= ends
+
+        # ---------------------- The next point ---------------------
+
+        drawn, weight = rest.sample(sampler)
+        β = dr.select(active, β * mi.Color3f(weight), β)
+        η = η * dr.select(active, drawn.eta, 1.0)
+        covered |= active & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null)
+        largest = dr.max(dr.abs(β))
+        active &= largest != 0.0
+        points = points + dr.select(active, mi.UInt32(1), mi.UInt32(0))
+        likely = dr.minimum(largest * dr.square(η), _MOST_LIKELY)
+        roulette = active & (points >= self._rr_depth)
+        survives = sampler.next_1d() < likely
+        β = dr.select(roulette, β / likely, β)
+        active &= ~roulette | survives
+        onward = si.spawn_ray(si.to_world(drawn.wo))
+        ray = dr.select(active, onward, ray)
+        hit = dr.select(active, self._scene.ray_intersect_preliminary(onward, coherent=False, active=active), hit)
+        return sampler, active, ray, hit, β, η, points, escaped, held, covered
