@@ -70,11 +70,6 @@ def unpack_film(
     return film, film_mesh(name, width, height, unpack_axes(axes), notes)
 
 
-def stored_axes(axes: NDArray) -> NDArray[np.float64]:
-    """(V, 3) axes of pixels as they are read back from a file: what bases must be made for."""
-    return unpack_axes(pack_axes(axes))
-
-
 def _noise_codes(noise: NDArray) -> NDArray[np.uint8]:
     with np.errstate(divide="ignore"):
         codes = np.rint((np.log2(noise) - _LOWEST) * _PER_OCTAVE)

@@ -146,3 +146,8 @@ def unpack_axes(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
     axes /= np.sqrt(x * x + y * y + z * z)[:, None]  # in this order: the same on every machine
     axes[(packed == 0).all(axis=0)] = 0.0
     return axes
+
+
+def stored_axes(axes: NDArray) -> NDArray[np.float64]:
+    """(V, 3) axes as they are read back from a file: what bases must be made for."""
+    return unpack_axes(pack_axes(axes))
