@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks.accuracy import accuracy
+from benchmarks.all_views import all_views
 from benchmarks.compression import compression
 from benchmarks.relighting import relighting
 from benchmarks.sphere import sphere
@@ -16,6 +17,7 @@ BENCHMARKS = {
     "transport": transport,
     "relighting": relighting,
     "accuracy": accuracy,
+    "all_views": all_views,
     "dragons": dragons,
 }
 

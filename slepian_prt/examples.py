@@ -7,7 +7,10 @@ from pathlib import Path
 from slepian_prt.errors import UserError
 
 _FOLDER = Path(__file__).parent / "scenes"
-_FILES = {"knot": "knot.ply", "sky": "sky.exr", "cornell": "cornell.xml", "glossy": "glossy.xml", "room": "room.xml"}
+_FILES = {
+    "knot": "knot.ply", "sky": "sky.exr", "cornell": "cornell.xml", "glossy": "glossy.xml", "room": "room.xml",
+    "caustics": "caustics.xml",
+}  # fmt: skip
 
 
 def example(name: str = "knot") -> Path:
@@ -15,10 +18,10 @@ def example(name: str = "knot") -> Path:
 
     Parameters
     ----------
-    name : {"knot", "sky", "cornell", "glossy", "room"}
+    name : {"knot", "sky", "cornell", "glossy", "room", "caustics"}
         A mesh that shadows itself (33,301 vertices), a sunny sky (.exr), a box of coloured walls that light each other
         (.xml), three glossy balls on a floor (.xml), a room with tiles, a mirror, glass, gold, instances
-        and a lamp (.xml).
+        and a lamp (.xml), and glass, a mirror and a ring of gold in an open corner (.xml).
 
     Raises
     ------

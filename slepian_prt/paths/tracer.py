@@ -13,6 +13,8 @@ from functools import partial
 from typing import Any, Protocol
 
 from slepian_prt.paths.lobes import MaterialTable, Remainder
+from slepian_prt.paths.media import Media, media_of
+from slepian_prt.paths.scattering import Scatterer
 
 # Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
 _ENDLESS = 0xFFFFFFFF
@@ -72,7 +74,7 @@ class PathEnds:
 
 
 class PathTracer:
-    """Follows the BSDF samples of Mitsuba's materials through a scene.
+    """Follows the samples of Mitsuba's materials and phase functions through a scene.
 
     Parameters
     ----------
@@ -84,6 +86,11 @@ class PathTracer:
     known : KnownSurfaces, optional
     max_depth, rr_depth : int
         As of Mitsuba's ``path``.
+
+    Attributes
+    ----------
+    has_media : bool
+        Whether there are participating media in the scene.
     """
 
     def __init__(
@@ -98,6 +105,8 @@ class PathTracer:
     ) -> None:
         self._mi, self._scene, self._known = mi, scene, known
         self.table = MaterialTable(mi, materials)
+        self._media = Media(mi, media_of(mi, scene))
+        self.has_media = self._media.present
         self._max_depth, self._rr_depth = max_depth if max_depth >= 0 else _ENDLESS, rr_depth
 
     def follow(
@@ -107,6 +116,7 @@ class PathTracer:
         *,
         hit: Any = None,
         throughput: Any = None,
+        medium: Any = None,
         active: Any = True,
         first_known: bool = False,
     ) -> PathEnds:
@@ -121,6 +131,8 @@ class PathTracer:
             What they meet, where that is there already.
         throughput : Color3f, optional
             By default 1.
+        medium : Mitsuba medium or MediumPtr, optional
+            That the paths begin in, one of the scene's. By default none; `medium_at` finds it.
         active : Bool
         first_known : bool
             Whether somebody else accounts for the known reflection of the first points: paths then go on from there
@@ -137,6 +149,7 @@ class PathTracer:
             active,  # Is the path still going on?
             mi.Ray3f(ray),  # Its last segment
             hit,  # What that meets
+            dr.zeros(mi.MediumPtr, dr.width(ray)) if medium is None else mi.MediumPtr(medium),  # What it goes through
             mi.Color3f(1.0 if throughput is None else throughput),  # β: throughput
             mi.Float(1.0),  # η: relative index of refraction, all along
             mi.UInt32(0),  # Number of points
@@ -146,39 +159,45 @@ class PathTracer:
         )
         step = partial(self._step, first_known)
         state = dr.while_loop(state, lambda *state: state[1], step, label="slepian_prt: paths")
-        _, _, ray, hit, β, _, points, escaped, held, covered = state
+        _, _, ray, hit, _, β, _, points, escaped, held, covered = state
         return PathEnds(escaped, held, covered, dr.select(escaped | held, β, 0.0), ray, hit, points)
 
     def _step(
-        self, first_known: bool, sampler: Any, active: Any, ray: Any, hit: Any, β: Any, η: Any, points: Any,
-        escaped: Any, held: Any, covered: Any,
+        self, first_known: bool, sampler: Any, active: Any, ray: Any, hit: Any, medium: Any, β: Any, η: Any,
+        points: Any, escaped: Any, held: Any, covered: Any,
     ) -> tuple[Any, ...]:  # fmt: skip
         import drjit as dr
 
         mi = self._mi
         si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
-        escaped |= active & ~si.is_valid()
-        active &= si.is_valid() & (points + 1 < self._max_depth)
+        flight, arrives = None, active
+        if self.has_media:
+            flight = self._media.fly(sampler, ray, hit.t, medium, β, active)
+            β, arrives = flight.throughput, active & ~flight.scattered
+        escaped |= arrives & ~si.is_valid()
+        active &= ~escaped & (points + 1 < self._max_depth)
+        arrives &= active
 
         # ----------------- Light that is known ---------------------
 
         known, albedo = mi.Bool(False), mi.Color3f(0.0)
         if self._known is not None:
-            known, albedo = self._known.at(ray, hit, si, active)
-        rest = Remainder(self.table, si, known, albedo, active)
+            known, albedo = self._known.at(ray, hit, si, arrives)
+        rest = Remainder(self.table, si, known, albedo, arrives)
+        point = Scatterer(mi, self._media, si, rest, medium, flight, active)
         if self._known is not None:
             meets = rest.diffuse & ~((points == 0) & first_known)
             share = dr.select(rest.scatters, _ENDING, 1.0)
             ends = meets & (~rest.scatters | (sampler.next_1d() < _ENDING))
             β = dr.select(meets, β / dr.select(ends, share, 1.0 - _ENDING), β)
             held |= ends
-            active &= ~ends & rest.scatters
+            active &= ~ends & point.active
             covered |= ends
 
         # ---------------------- The next point ---------------------
 
-        drawn, weight = rest.sample(sampler)
-        β = dr.select(active, β * mi.Color3f(weight), β)
+        drawn = point.sample(sampler)
+        β = dr.select(active, β * mi.Color3f(drawn.weight), β)
         η = η * dr.select(active, drawn.eta, 1.0)
         covered |= active & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null)
         largest = dr.max(dr.abs(β))
@@ -189,7 +208,8 @@ class PathTracer:
         survives = sampler.next_1d() < likely
         β = dr.select(roulette, β / likely, β)
         active &= ~roulette | survives
-        onward = si.spawn_ray(si.to_world(drawn.wo))
+        onward = point.origin.spawn_ray(drawn.direction)
+        medium = dr.select(active, point.medium_toward(drawn.direction), medium)
         ray = dr.select(active, onward, ray)
         hit = dr.select(active, self._scene.ray_intersect_preliminary(onward, coherent=False, active=active), hit)
-        return sampler, active, ray, hit, β, η, points, escaped, held, covered
+        return sampler, active, ray, hit, medium, β, η, points, escaped, held, covered

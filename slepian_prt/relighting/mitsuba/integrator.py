@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
 from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, material_kind
+from slepian_prt.paths.media import Media, media_of
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
 from slepian_prt.relighting.mitsuba.gathering import Gatherer
@@ -20,7 +21,6 @@ from slepian_prt.relighting.mitsuba.lamps import Lamps
 from slepian_prt.relighting.mitsuba.lobes import Lobes
 from slepian_prt.relighting.mitsuba.recording import without_collection
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
-from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.renderer.variants import imported_mitsuba
 
 NAME = "slepian_prt"
@@ -88,7 +88,7 @@ def _plugin_class(mi: Any) -> Any:
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
             try:
                 with without_collection():
-                    return self.integrator.sample(scene, sampler, ray, active, self.skip_area_emitters)
+                    return self.integrator.sample(scene, sampler, ray, medium, active, self.skip_area_emitters)
             except UserError as error:
                 log_warning(mi, str(error))  # `mi.render` raises an error of its own that does not say what is wrong
                 raise
@@ -177,6 +177,7 @@ class SlepianIntegrator:
         self._cache = RadianceCache(mi, list(self._transfers.values()))
         self._spectra = smooth_spectra(mi).tolist() if mi.is_spectral else None
         self._lobes: Any = None
+        self._media: Media | None = None
         self._gatherer: Any = None  # None where nothing calls for it
         self._warnings: set[str] = set()  # that were made
 
@@ -195,7 +196,7 @@ class SlepianIntegrator:
             transfer.check_albedo()
 
     def sample(
-        self, scene: Any, sampler: Any, ray: Any, active: Any, skip_emitters: Callable[..., Any]
+        self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any, skip_emitters: Callable[..., Any]
     ) -> tuple[Any, Any, list]:
         """Radiance along camera rays: spectrum, whether it is valid, and no AOVs.
 
@@ -206,7 +207,7 @@ class SlepianIntegrator:
         import drjit as dr
 
         mi = self._mi
-        self._bind(scene)
+        self._bind(scene, medium)
         active = mi.Bool(active)
         hit, si = self._first_hit(scene, ray, active, skip_emitters)  # What camera rays meet, detached
         L = mi.UnpolarizedSpectrum(0.0)
@@ -223,8 +224,10 @@ class SlepianIntegrator:
         if self._gatherer is not None:
             with dr.suspend_grad():
                 more = self._gatherer.adds_to(material) & met
+                if medium is not None:  # all that comes through it is gathered
+                    more, L = active & (self._max_depth != 0), mi.UnpolarizedSpectrum(0.0)
                 gathered, through = self._gatherer.gather(
-                    scene, sampler, ray, hit, hide_emitters=self._hide_emitters, active=more
+                    scene, sampler, ray, hit, medium=medium, hide_emitters=self._hide_emitters, active=more
                 )
             L, covered = dr.select(more, L + gathered, L), dr.select(more, through, covered)
         return without_polarization(mi, L), covered, []
@@ -258,28 +261,29 @@ class SlepianIntegrator:
                 hit = dr.select(hidden, behind, hit)
             return hit, hit.compute_surface_interaction(mi.Ray3f(ray), mi.RayFlags.All, active)
 
-    def _bind(self, scene: Any) -> None:
-        """Match the files to a scene, and log what of it will not be seen, each thing once."""
+    def _bind(self, scene: Any, medium: Any = None) -> None:
+        """Match the files to a scene, and log what of it will not be seen, each thing once.
+
+        A camera that is in a ``medium`` need not be one of the scene's.
+        """
         mi = self._mi
         bound = [transfer for transfer in self._transfers.values() if transfer.bind(scene)]
         for transfer in self._transfers.values():
             transfer.light(scene)
-        if not bound and self._lobes is not None:
+        if not bound and self._media is not None and self._media.know(medium):
             return
         materials = [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.BSDF)]
         self._lobes = Lobes(mi, materials, self._albedo, self._spectra)
-        lamps = Lamps(mi, scene)
+        around = [] if medium is None else [medium]
+        self._media = Media(mi, [*media_of(mi, scene), *around])
+        lamps = Lamps(mi, scene, self._media)
         self._gatherer = None
-        if self._calls_for_gathering(scene, lamps):
+        if self._media.present or self._calls_for_gathering(scene, lamps):
             self._gatherer = Gatherer(
-                mi, self._cache, self._lobes, lamps, fixed_lights=self._fixed_lights,
+                mi, self._cache, self._lobes, lamps, self._media, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
         texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo)]
-        shapes = enumerate(scene.shapes())
-        media = [f"'{shape_name(shape, index)}'" for index, shape in shapes if shape.is_medium_transition()]
-        if media:
-            texts.append(f"participating media are not drawn: those of shapes {', '.join(media)}")
         for text in texts:
             if text not in self._warnings:  # shapes that move are matched again for every picture
                 self._warnings.add(text)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
+from slepian_prt.paths.media import Media
+from slepian_prt.paths.scattering import Scatterer
 from slepian_prt.relighting.mitsuba.lobes import Material
 
 # Shadow rays for the lamps at a held point, at most; and points on lamps, of one or of several lamps, that one of these
@@ -14,6 +16,23 @@ _RAYS, _CANDIDATES, _OF_SEVERAL = 4, 16, 8
 _STEPS = (0.6180339887498949, 0.7548776662466927, 0.5698402909980532)
 
 
+class HeldPoint(NamedTuple):
+    """Where lamps light a surface that a file holds.
+
+    Attributes
+    ----------
+    si : SurfaceInteraction3f
+    material : Material
+        There.
+    medium : MediumPtr
+        That it is looked at through.
+    """
+
+    si: Any
+    material: Material
+    medium: Any
+
+
 class Lamps:
     """The emitters of a scene, to be sampled; those that are not distant are its lamps.
 
@@ -21,6 +40,8 @@ class Lamps:
     ----------
     mi : Mitsuba, in the variant of the scene
     scene : Mitsuba scene
+    media : Media
+        Of the scene.
 
     Attributes
     ----------
@@ -28,8 +49,8 @@ class Lamps:
         Of lamps.
     """
 
-    def __init__(self, mi: Any, scene: Any) -> None:
-        self._mi = mi
+    def __init__(self, mi: Any, scene: Any, media: Media) -> None:
+        self._mi, self._media = mi, media
         lamps = [emitter for emitter in scene.emitters() if not emitter.is_environment()]
         self.count, self._all = len(lamps), len(scene.emitters())
         distant = [emitter for emitter in scene.emitters() if emitter.is_environment()]
@@ -40,15 +61,14 @@ class Lamps:
         if self.count <= _RAYS and not self._has_surfaces:
             self._candidates = 1
 
-    def sample(self, scene: Any, si: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+    def sample(self, scene: Any, point: Scatterer, sampler: Any) -> tuple[Any, Any]:
         """A direction to one of the emitters, each as likely.
 
         Parameters
         ----------
         scene : Mitsuba scene
-        si : SurfaceInteraction3f
+        point : Scatterer
         sampler : Sampler
-        active : Bool
 
         Returns
         -------
@@ -60,12 +80,12 @@ class Lamps:
         import drjit as dr
 
         mi = self._mi
-        active = active & (self._all > 0)
-        ds, arriving = self._toward(si, sampler.next_1d(), sampler.next_2d(), self._all, active)
-        seen = active & (ds.pdf != 0.0)
-        seen &= ~scene.ray_test(si.spawn_ray_to(ds.p), seen)
+        active = point.active & (self._all > 0)
+        ds, arriving = self._toward(point.origin, sampler.next_1d(), sampler.next_2d(), self._all, active)
+        medium = point.medium_toward(ds.d)
+        seen, passed = self._sees(scene, point.origin, ds.p, medium, sampler, active & (ds.pdf != 0.0))
         ds.pdf = dr.select(seen, ds.pdf, 0.0)
-        return ds, dr.select(seen, arriving, mi.UnpolarizedSpectrum(0.0))
+        return ds, dr.select(seen, arriving * passed, mi.UnpolarizedSpectrum(0.0))
 
     def density(self, before: Any, ds: Any, active: Any) -> Any:
         """With which `sample` draws a direction."""
@@ -74,7 +94,7 @@ class Lamps:
         density = ds.emitter.pdf_direction(before, ds, active)
         return dr.select(active, density / max(self._all, 1), 0.0)
 
-    def on_held(self, scene: Any, si: Any, material: Material, sampler: Any, active: Any) -> Any:
+    def on_held(self, scene: Any, point: HeldPoint, sampler: Any, active: Any) -> Any:
         """What held lobes reflect of the lamps: UnpolarizedSpectrum.
 
         Where lamps are surfaces, it is looked for toward them and along the cosine, and what both find is weighted by
@@ -83,21 +103,19 @@ class Lamps:
         Parameters
         ----------
         scene : Mitsuba scene
-        si : SurfaceInteraction3f
-        material : Material
-            There.
+        point : HeldPoint
         sampler : Sampler
         active : Bool
         """
         light = self._mi.UnpolarizedSpectrum(0.0)
         if self.count:
-            active = active & material.held
-            light += self._on_held_toward(scene, si, material, sampler, active)
+            active = active & point.material.held
+            light += self._on_held_toward(scene, point, sampler, active)
             if self._has_surfaces:
-                light += self._on_held_along(scene, si, material, sampler, active)
+                light += self._on_held_along(scene, point, sampler, active)
         return light
 
-    def _on_held_toward(self, scene: Any, si: Any, material: Material, sampler: Any, active: Any) -> Any:
+    def _on_held_toward(self, scene: Any, point: HeldPoint, sampler: Any, active: Any) -> Any:
         """By shadow rays, each to a part of the lamps."""
         import drjit as dr
 
@@ -106,13 +124,13 @@ class Lamps:
 
         def look(ray: Any, light: Any) -> Any:
             drawn = [_fraction(value + mi.Float(ray) * _STEPS[0]) for value in (begin, *on_it, choice)]
-            return ray + 1, light + self._one_ray(scene, si, material, ray, drawn, active)
+            return ray + 1, light + self._one_ray(scene, point, sampler, ray, drawn, active)
 
         state = (mi.UInt32(0), mi.UnpolarizedSpectrum(dr.zeros(mi.Float, dr.width(active))))
         _, light = dr.while_loop(state, lambda ray, _: active & (ray < self._rays), look, label="slepian_prt: lamps")
         return light / self._rays
 
-    def _one_ray(self, scene: Any, si: Any, material: Material, ray: Any, drawn: list[Any], active: Any) -> Any:
+    def _one_ray(self, scene: Any, point: HeldPoint, sampler: Any, ray: Any, drawn: list[Any], active: Any) -> Any:
         """Resampled (Talbot et al. 2005): of M candidates one by w ∝ what it would bring, which counts as Σ w / (M w).
 
         The candidates are spread evenly over the lamps, so that Σ w has little noise, and only shadows have more.
@@ -120,6 +138,7 @@ class Lamps:
         import drjit as dr
 
         mi, count = self._mi, self._candidates
+        si, material = point.si, point.material
         *begin, choice = drawn
 
         def look(number: Any, total: Any, choice: Any, place: Any, arriving: Any, chosen: Any) -> Any:
@@ -143,26 +162,43 @@ class Lamps:
         _, total, _, place, arriving, chosen = dr.while_loop(
             state, lambda number, *_: active & (number < count), look, label="slepian_prt: candidates"
         )
-        seen = active & (chosen > 0.0)
-        seen &= ~scene.ray_test(si.spawn_ray_to(place), seen)
-        reflected = material.held_from(si.to_local(dr.normalize(place - si.p)), seen) * arriving
+        direction = dr.normalize(place - si.p)
+        medium = self._media.beyond(si, direction, point.medium, active)
+        seen, passed = self._sees(scene, si, place, medium, sampler, active & (chosen > 0.0))
+        reflected = material.held_from(si.to_local(direction), seen) * arriving * passed
         return dr.select(seen, reflected * (total / (count * chosen)), 0.0)
 
-    def _on_held_along(self, scene: Any, si: Any, material: Material, sampler: Any, active: Any) -> Any:
+    def _on_held_along(self, scene: Any, point: HeldPoint, sampler: Any, active: Any) -> Any:
         """By a ray that is drawn by the cosine, of the lamp that it meets."""
         import drjit as dr
 
-        mi = self._mi
+        mi, si, material = self._mi, point.si, point.material
         wo = material.by_cosine(sampler.next_2d())
         density = material.reflects_toward(wo) * dr.inv_pi
         ray = si.spawn_ray(si.to_world(wo))
-        hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active & (density > 0.0))
-        shines = hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None))
+        active = active & (density > 0.0)
+        passed: Any = 1.0
+        if self._media.present:
+            medium = self._media.beyond(si, ray.d, point.medium, active)
+            ray, hit, passed = self._media.look_along(scene, sampler, ray, medium, active, stop_at_emitters=True)
+        else:
+            hit = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+        shines = active & hit.is_valid() & (hit.shape.emitter() != mi.EmitterPtr(None))
         there = hit.compute_surface_interaction(ray, mi.RayFlags.All, shines)
         ds = mi.DirectionSample3f(scene, there, si)
         of_lamps = ds.emitter.pdf_direction(si, ds, shines) * (self._candidates * self._rays / self.count)
-        light = mi.unpolarized_spectrum(ds.emitter.eval(there, shines)) * self._share(density, of_lamps)
+        light = mi.unpolarized_spectrum(ds.emitter.eval(there, shines)) * self._share(density, of_lamps) * passed
         return dr.select(shines, material.held_from(wo, shines) * light / density, 0.0)
+
+    def _sees(self, scene: Any, origin: Any, place: Any, medium: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
+        """Whether a place is seen from an Interaction3f, and what passes of what it sends there."""
+        import drjit as dr
+
+        ray = origin.spawn_ray_to(place)
+        if not self._media.present:
+            return active & ~scene.ray_test(ray, active), 1.0
+        _, _, passed = self._media.look_along(scene, sampler, ray, medium, active)
+        return active & (dr.max(passed) > 0.0), passed
 
     def _toward(self, si: Any, which: Any, place: Any, count: int, active: Any) -> tuple[Any, Any]:
         """A sample of one of the first ``count`` emitters, and what arrives from there, over its density."""

@@ -1,0 +1,318 @@
+"""Free flight through participating media, as Mitsuba's ``volpath`` has it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+# Directions in which a boundary of media is looked for, in no symmetry with what people build.
+_DIRECTIONS = ((0.36, 0.48, 0.8), (-0.64, 0.6, -0.48), (0.28, -0.9, 0.33), (0.71, -0.17, -0.68))
+
+# Transmittance below this is followed at random, by as much as there is of it: dense smoke has long ways.
+_FAINT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """Where rays within media went, on Mitsuba's arrays.
+
+    Attributes
+    ----------
+    scattered : Bool
+        Whether they met a particle, and not the surface ahead.
+    place : MediumInteraction3f
+        Where that was.
+    throughput : UnpolarizedSpectrum
+        Of the path up to there, or up to the surface.
+    """
+
+    scattered: Any
+    place: Any
+    throughput: Any
+
+
+class Media:
+    """The participating media of a scene; functions that fit into the body of a ``dr.while_loop``.
+
+    Extinction may be coloured, and vary in space below a constant majorant σ̄. Where `volpath` takes distances by one
+    channel for a whole path, here each is drawn by a channel c of probability p_c ∝ β_c, its throughput, and weighted
+    by all of them (the one-sample model of multiple importance sampling, Veach 1997, Sec. 9.2.4):
+
+        β_c ← β_c e^(-σ̄_c t) / Σ_k p_k e^(-σ̄_k t)          to a surface at t
+        β_c ← β_c e^(-σ̄_c t) σ_s,c / Σ_k p_k σ̄_k e^(-σ̄_k t)    to a particle at t
+
+    so that Σ β never grows, which has no bound with one channel. Whether a collision is one with the fictitious matter
+    that fills up to σ̄ is drawn by β as well.
+
+    Parameters
+    ----------
+    mi : Mitsuba, in the variant of the scene
+    media : iterable of Mitsuba media
+        `media_of` a scene.
+
+    Attributes
+    ----------
+    present : bool
+        Whether there are any.
+    """
+
+    def __init__(self, mi: Any, media: Iterable[Any]) -> None:
+        self._mi = mi
+        known = list(media)
+        self.present = bool(known)
+        self._known = {medium.ptr for medium in known}
+        self._vary = not all(medium.is_homogeneous() for medium in known)
+
+    def know(self, medium: Any) -> bool:
+        """Whether a Mitsuba medium is one of them; None is."""
+        return medium is None or medium.ptr in self._known
+
+    # --- Along a ray -----------------------------------------------------------------------------------------------
+
+    def fly(self, sampler: Any, ray: Any, distance: Any, medium: Any, throughput: Any, active: Any) -> Flight:
+        """Where rays go that set out within media: to a particle, or through to the surface ahead.
+
+        Parameters
+        ----------
+        sampler : Sampler
+        ray : Ray3f
+        distance : Float
+            To the surface ahead, infinite if there is none.
+        medium : MediumPtr
+            That rays set out in; null for none.
+        throughput : UnpolarizedSpectrum
+            β of the paths.
+        active : Bool
+        """
+        import drjit as dr
+
+        mi = self._mi
+        active = active & (medium != mi.MediumPtr(None))
+        begin, end = self._extent(ray, distance, medium, active)
+        majorant = medium.get_majorant(self._place(ray, begin, medium), active)
+
+        def collide(sampler: Any, on: Any, t: Any, β: Any, scattered: Any) -> tuple[Any, ...]:
+            shares = [dr.abs(part) for part in β]
+            rate = _one_of(majorant, shares, sampler.next_1d(on))
+            to = dr.select(rate > 0.0, t - dr.log(1.0 - sampler.next_1d(on)) / rate, dr.inf)
+            met = on & (to < end)
+            passed = dr.select(majorant > 0.0, dr.exp(-majorant * dr.maximum(dr.minimum(to, end) - t, 0.0)), 1.0)
+            density = _weighted(dr.select(met, majorant, 1.0) * passed, shares)
+            β = dr.select(on, _over(β * passed * dr.sum(shares), density), β)
+
+            place = self._place(ray, to, medium)
+            scattering, fictitious, extinction = medium.get_scattering_coefficients(place, met)
+            shares = [dr.abs(part) for part in β]
+            real, null = _weighted(extinction, shares), _weighted(dr.maximum(fictitious, 0.0), shares)
+            hit = met & (sampler.next_1d(met) * (real + null) < real)
+            β = dr.select(
+                met, _over(β * dr.select(hit, scattering, fictitious) * (real + null), dr.select(hit, real, null)), β
+            )
+            return sampler, met & ~hit & (dr.max(dr.abs(β)) > 0.0), dr.select(met, to, t), β, scattered | hit
+
+        state = (sampler, mi.Bool(active), mi.Float(begin), mi.UnpolarizedSpectrum(throughput), mi.Bool(False))
+        if self._vary:
+            state = dr.while_loop(state, lambda _sampler, on, *_: on, collide, label="slepian_prt: flight")
+        else:  # no collision is fictitious
+            state = collide(*state)
+        _, _, t, β, scattered = state
+        return Flight(scattered, self._place(ray, t, medium), β)
+
+    def transmittance(self, sampler: Any, ray: Any, distance: Any, medium: Any, active: Any) -> Any:
+        """What media let pass along rays: UnpolarizedSpectrum; exact, or estimated by ratio tracking (Novák 2014).
+
+        Parameters
+        ----------
+        sampler, ray, distance, medium, active
+            As of `fly`.
+        """
+        import drjit as dr
+
+        mi = self._mi
+        active = active & (medium != mi.MediumPtr(None))
+        begin, end = self._extent(ray, distance, medium, active)
+        majorant = medium.get_majorant(self._place(ray, begin, medium), active)
+        length = dr.maximum(end - begin, 0.0)
+        passed = dr.select(active & (majorant > 0.0), dr.exp(-majorant * length), 1.0)
+        if not self._vary:
+            return passed
+        varies = active & ~medium.is_homogeneous()
+        rate = dr.max(majorant)
+
+        def collide(sampler: Any, on: Any, t: Any, passed: Any) -> tuple[Any, ...]:
+            t = t - dr.log(1.0 - sampler.next_1d(on)) / rate
+            on &= t < end
+            _, _, extinction = medium.get_scattering_coefficients(self._place(ray, t, medium), on)
+            passed = dr.select(on, passed * (1.0 - extinction / rate), passed)
+            likely = dr.minimum(dr.max(passed) / _FAINT, 1.0)
+            goes_on = sampler.next_1d(on) < likely
+            passed = dr.select(on, dr.select(goes_on, _over(passed, likely), 0.0), passed)
+            return sampler, on & goes_on, t, passed
+
+        tracked = (sampler, varies & (rate > 0.0), mi.Float(begin), dr.select(varies, 1.0, passed))
+        return dr.while_loop(tracked, lambda _sampler, on, *_: on, collide, label="slepian_prt: transmittance")[3]
+
+    def _extent(self, ray: Any, distance: Any, medium: Any, active: Any) -> tuple[Any, Any]:
+        """Where on the way to a surface matter begins and ends: that of grids fills no more than their boxes."""
+        import drjit as dr
+
+        meets, begin, end = medium.intersect_aabb(ray)
+        meets &= active & (dr.isfinite(begin) | dr.isfinite(end))
+        begin = dr.select(meets, dr.maximum(begin, 0.0), 0.0)
+        return begin, dr.select(meets, dr.minimum(end, distance), begin)
+
+    def _place(self, ray: Any, t: Any, medium: Any) -> Any:
+        """MediumInteraction3f at a distance along rays."""
+        import drjit as dr
+
+        place = dr.zeros(self._mi.MediumInteraction3f, dr.width(ray))
+        place.t, place.p, place.wi = t, ray(t), -ray.d
+        place.sh_frame = self._mi.Frame3f(place.wi)
+        place.time, place.wavelengths, place.medium = ray.time, ray.wavelengths, medium
+        return place
+
+    # --- At particles ----------------------------------------------------------------------------------------------
+
+    def scatter(self, sampler: Any, place: Any, active: Any) -> tuple[Any, Any, Any]:
+        """A direction (Vector3f, world) drawn by the phase function, its weight, and its density."""
+        import drjit as dr
+
+        mi = self._mi
+        phase = self._phase(place, active)
+        context = mi.PhaseFunctionContext(sampler)
+        wo, weight, pdf = phase.sample(context, place, sampler.next_1d(active), sampler.next_2d(active), active)
+        weight = dr.select(active & (pdf > 0.0), mi.unpolarized_spectrum(weight), 0.0)
+        return wo, weight, pdf
+
+    def evaluate(self, sampler: Any, place: Any, wo: Any, active: Any) -> tuple[Any, Any]:
+        """Phase function toward directions (Vector3f, world): UnpolarizedSpectrum; and its density."""
+        mi = self._mi
+        value, pdf = self._phase(place, active).eval_pdf(mi.PhaseFunctionContext(sampler), place, wo, active)
+        return mi.unpolarized_spectrum(value), pdf
+
+    def _phase(self, place: Any, active: Any) -> Any:
+        import drjit as dr
+
+        return dr.select(active, place.medium.phase_function(), self._mi.PhaseFunctionPtr(None))
+
+    # --- Past surfaces ---------------------------------------------------------------------------------------------
+
+    def look_along(
+        self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any, *, stop_at_emitters: bool = False
+    ) -> tuple[Any, Any, Any]:
+        """Straight on through media and whatever surfaces let pass unbent, as null boundaries and masks.
+
+        Parameters
+        ----------
+        scene : Mitsuba scene
+        sampler, medium, active
+            As of `fly`.
+        ray : Ray3f
+            Up to its ``maxt``, or to the first surface that lets nothing pass.
+        stop_at_emitters : bool
+            Whether surfaces that emit end the way.
+
+        Returns
+        -------
+        Ray3f, PreliminaryIntersection3f
+            The last part of the way, and what it meets.
+        UnpolarizedSpectrum
+            What passes; zero where a surface is in the way that does not emit, or is not to be stopped at.
+        """
+        import drjit as dr
+
+        mi = self._mi
+        end = ray(ray.maxt)
+        bounded = dr.isfinite(ray.maxt)
+
+        def pass_on(sampler: Any, on: Any, ray: Any, _hit: Any, medium: Any, passed: Any) -> tuple[Any, ...]:
+            hit = scene.ray_intersect_preliminary(ray, coherent=False, active=on)
+            met = on & hit.is_valid()
+            si = hit.compute_surface_interaction(ray, mi.RayFlags.All, met)
+            passed = dr.select(
+                on, passed * self.transmittance(sampler, ray, dr.minimum(hit.t, ray.maxt), medium, on), passed
+            )
+            if stop_at_emitters:
+                met &= hit.shape.emitter() == mi.EmitterPtr(None)
+            null = mi.unpolarized_spectrum(si.bsdf().eval_null_transmission(si, met))
+            passed = dr.select(met, passed * null, passed)
+            on = met & (dr.max(passed) > 0.0)
+            onward = dr.select(bounded, si.spawn_ray_to(end), si.spawn_ray(ray.d))
+            medium = self.beyond(si, ray.d, medium, on)
+            return sampler, on, dr.select(on, onward, ray), hit, medium, passed
+
+        start = (
+            sampler, mi.Bool(active), mi.Ray3f(ray), dr.zeros(mi.PreliminaryIntersection3f, dr.width(ray)),
+            mi.MediumPtr(medium), mi.UnpolarizedSpectrum(1.0),
+        )  # fmt: skip
+        _, _, ray, hit, _, passed = dr.while_loop(
+            start, lambda _sampler, on, *_: on, pass_on, label="slepian_prt: looking through"
+        )
+        return ray, hit, dr.select(active, passed, 0.0)
+
+    def beyond(self, si: Any, direction: Any, medium: Any, active: Any) -> Any:
+        """MediumPtr, what lies in a direction (Vector3f, world) of surfaces; ``medium`` where they part none."""
+        import drjit as dr
+
+        parts = active & si.is_valid() & si.is_medium_transition()
+        return dr.select(parts, si.target_medium(direction), medium)
+
+
+def media_of(mi: Any, scene: Any) -> list[Any]:
+    """The participating media of a Mitsuba scene, on both sides of its surfaces and around its cameras."""
+    return [node for node in mi.traverse(scene).hierarchy if isinstance(node, mi.Medium)]
+
+
+def medium_at(mi: Any, scene: Any, points: Any) -> Any:
+    """The medium that points lie in, by the nearest of its boundaries along some rays: MediumPtr, null for none.
+
+    Parameters
+    ----------
+    mi : Mitsuba, in the variant of the scene
+    scene : Mitsuba scene
+    points : Point3f
+    """
+    import drjit as dr
+
+    def look(on: Any, ray: Any, far: Any, found: Any) -> tuple[Any, ...]:
+        si = scene.ray_intersect(ray, on)
+        far = far + si.t
+        on &= si.is_valid()
+        parts = on & si.is_medium_transition()
+        found = dr.select(parts, si.target_medium(-ray.d), found)
+        return on & ~parts, si.spawn_ray(ray.d), far, found
+
+    nearest, medium = mi.Float(dr.inf), dr.zeros(mi.MediumPtr, dr.width(points))
+    for direction in _DIRECTIONS:
+        ray = mi.Ray3f(points, dr.normalize(mi.Vector3f(*direction)))
+        none = mi.Float(0.0), dr.zeros(mi.MediumPtr, dr.width(points))
+        state = (mi.Bool(True), ray, *none)
+        _, _, far, found = dr.while_loop(state, lambda on, *_: on, look, label="slepian_prt: boundaries of media")
+        nearer = far < nearest
+        nearest, medium = dr.select(nearer, far, nearest), dr.select(nearer, found, medium)
+    return medium
+
+
+def _one_of(values: Any, shares: list[Any], u: Any) -> Any:
+    """One channel of a spectrum, drawn by the shares of channels."""
+    import drjit as dr
+
+    chosen, below, drawn = values[0], shares[0], u * dr.sum(shares)
+    for value, share in zip(list(values)[1:], shares[1:], strict=True):
+        chosen = dr.select(drawn >= below, value, chosen)
+        below = below + share
+    return chosen
+
+
+def _weighted(values: Any, shares: list[Any]) -> Any:
+    import drjit as dr
+
+    return dr.sum([value * share for value, share in zip(values, shares, strict=True)])
+
+
+def _over(value: Any, divisor: Any) -> Any:
+    """The quotient, zero where the divisor is."""
+    import drjit as dr
+
+    return dr.select(divisor > 0.0, value / divisor, 0.0)
