@@ -134,6 +134,16 @@ class CompressedTransfer(Summarised):
         power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
         return self.expected.relative(power)
 
+    def noise(self, lighting: NDArray | None = None) -> float | None:
+        """Relative RMS noise of a captured picture, averaged over the rotations of the light; None where none is known.
+
+        ``lighting`` as of `predicted_relit_error`.
+        """
+        if self.film is None:
+            return None
+        power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
+        return self.film.relative_noise(self.expected.total, power)
+
     @cached_property
     def bytes_per_vertex(self) -> float:
         """Bytes in the file per vertex for coefficients, bases, caps and cluster indices.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,6 +73,20 @@ class Film:
         rows = _interpolated(self.directions, 1, *down)
         looks = _interpolated(rows, 2, *across)
         return np.asarray(looks / np.linalg.norm(looks, axis=-1, keepdims=True), dtype=np.float32)
+
+    def relative_noise(self, energy: NDArray[np.float64], power: NDArray[np.float64]) -> float:
+        """Relative RMS noise of the picture, averaged over the rotations of a light.
+
+        Parameters
+        ----------
+        energy : (L+1,)
+            Mean squared norm of a transfer vector in each degree, with its noise.
+        power : (L+1,)
+            Of the light, per harmonic.
+        """
+        noise = float(power @ self.noise_power)
+        signal = float(power @ energy) - noise
+        return math.sqrt(noise / signal) if signal > 0.0 else 0.0
 
     def at_bandlimit(self, bandlimit: int) -> Film:
         """The same with what is known of fewer degrees."""

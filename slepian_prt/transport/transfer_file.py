@@ -169,8 +169,8 @@ def _fixed(lamps: dict[str, Any], arrays: dict[str, NDArray], count: int) -> Fix
 
 def _film(about: dict[str, Any], arrays: dict[str, NDArray], count: int) -> Film:
     """Pixels of a camera."""
-    about = about | {name: tuple(about[name]) for name in ("crop", "size")}
-    film = Film(**about, **{name: arrays[f"film_{name}"] for name in _FILM})
+    known: dict[str, Any] = {name: arrays[f"film_{name}"] for name in _FILM}
+    film = Film(**{**about, "crop": tuple(about["crop"]), "size": tuple(about["size"])}, **known)
     if film.width * film.height != count or film.background.shape != (count, 3) or film.noise.shape != (count,):
         raise ValueError(f"a film of {film.width} x {film.height} pixels for {count} receivers")
     return film

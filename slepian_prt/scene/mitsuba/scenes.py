@@ -144,7 +144,7 @@ def _camera(mi: Any, sensors: Sequence[Any], view: str | int | None, path: Path)
     return sensor, scene_view
 
 
-def wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: Path) -> Any:
+def wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: str | Path) -> Any:
     """The camera of that id or number; without one, the first, or None."""
     if view is None:
         return sensors[0] if sensors else None

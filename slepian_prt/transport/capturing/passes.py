@@ -116,14 +116,14 @@ def _wanted_passes(job: Job, sums: PixelSums, done: int, seconds: float) -> int:
     """How many passes the goals want, as the noise and the time of those that are done tell."""
     settings, wanted = job.settings, [job.settings.most_passes]
     if settings.max_error is not None:
-        noise = relative_noise(job, sums)
+        noise = _relative_noise(job, sums)
         wanted.append(done if noise <= settings.max_error else math.ceil(done * (noise / settings.max_error) ** 2))
     if settings.max_seconds is not None:
         wanted.append(max(done, int(settings.max_seconds * done / max(seconds, 1e-9))))
     return min(wanted)
 
 
-def relative_noise(job: Job, sums: PixelSums) -> float:
+def _relative_noise(job: Job, sums: PixelSums) -> float:
     """Relative RMS noise of the picture, averaged over the rotations of the light."""
     noise, signal = 0.0, 0.0
     counts = np.bincount(degrees(job.settings.bandlimit))
@@ -178,5 +178,5 @@ def axes_of(vectors: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArr
     length = np.linalg.norm(bent, axis=1, keepdims=True)
     bent = np.where(length > 0.0, bent / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
     known = np.any(normals != 0.0, axis=1)
-    lit = vectors.any(axis=(1, 2))
+    lit = np.asarray(vectors.any(axis=(1, 2)))
     return stored_axes(np.where(lit[:, None], np.where(known[:, None], normals, bent), 0.0))

@@ -63,7 +63,7 @@ class PixelPaths:
         sequence = (number * self._rays.width * self._rays.height + int(pixels[0])) * count
         sampler = stratified_sampler(mi, count, len(pixels), self._seed, sequence)
         ray, weight = self._rays.sample(sampler, pixels_of_lanes(mi, pixels, count))
-        ends = self._tracer.follow(sampler, ray)
+        ends = self._tracer.follow(sampler, ray, medium=self._rays.medium)
         carried = dr.select(ends.escaped, ends.throughput, 0.0) * weight
         behind = dr.select(ends.covered, mi.Color3f(0.0), carried)
         segments = mi.Float(ends.points) + 1.0
