@@ -64,16 +64,16 @@ class PixelPaths:
         sampler = stratified_sampler(mi, count, len(pixels), self._seed, sequence)
         ray, weight = self._rays.sample(sampler, pixels_of_lanes(mi, pixels, count))
         ends = self._tracer.follow(sampler, ray, medium=self._rays.medium)
-        carried = dr.select(ends.escaped, ends.throughput, 0.0) * weight
+        carried = dr.select(ends.escaped, ends.throughput, 0.0) * (weight * (1.0 / count))
         behind = dr.select(ends.covered, mi.Color3f(0.0), carried)
         segments = mi.Float(ends.points) + 1.0
-        dr.eval(carried, behind, segments, ends.ray)
+        contribution = dr.select(ends.covered, carried, 0.0)
+        # At once, or the paths would be followed for each of them.
+        dr.eval(contribution, behind, segments, ends.escaped, ends.ray.d)
         background = np.stack([np.array(dr.block_sum(one, count)) for one in behind], axis=1)
         rays = np.array(dr.block_sum(segments, count))
-        covered = replace(ends, throughput=dr.select(ends.covered, carried, 0.0))
-        vectors = sum_paths(mi, self._bandlimit, covered, count).vectors
-        scale = np.float32(1.0 / count)
-        return BlockSums(vectors * scale, background * scale, rays)
+        vectors = sum_paths(mi, self._bandlimit, replace(ends, throughput=contribution), count).vectors
+        return BlockSums(vectors, background, rays)
 
 
 class Guides(NamedTuple):

@@ -12,8 +12,9 @@ from slepian_prt.transport.settings import LARGEST_BANDLIMIT, LARGEST_SAMPLES
 
 DEFAULT_SAMPLES = 256
 
-# Passes that a fixed number of samples is divided into, whose differences tell the noise; few samples make two.
-_PASSES, _FEW = 4, 16
+# Passes that a fixed number of samples is divided into, whose differences tell the noise: two, which stratify better,
+# and four of many samples.
+_FEW_PASSES, _PASSES, _MANY = 2, 4, 256
 
 # Samples of a pass where nobody knows how many there will be.
 _OPEN = 16
@@ -74,8 +75,8 @@ class CaptureSettings:
     def passes(self) -> int:
         """How many passes there are at least, and without a goal at most."""
         if self.is_open:
-            return 2
-        return _PASSES if self._wanted >= _FEW else 2
+            return _FEW_PASSES
+        return _PASSES if self._wanted >= _MANY else _FEW_PASSES
 
     @property
     def per_pass(self) -> int:

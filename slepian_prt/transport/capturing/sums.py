@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import mmap
 import tempfile
 from collections.abc import Iterator
@@ -54,18 +55,23 @@ class PixelSums:
 
     def __init__(self, file: IO[bytes], pixels: int, per_block: int, bandlimit: int) -> None:
         self.bandlimit, self._pixels, self._per_block = bandlimit, pixels, per_block
-        self._file, self.blocks = file, -(-pixels // per_block)
-        self._width = 3 * num_coefficients(bandlimit) + 3 * (bandlimit + 1) + 4
-        head = -(-4 * self.blocks // mmap.PAGESIZE) * mmap.PAGESIZE
+        self.blocks = -(-pixels // per_block)
+        size, bands = num_coefficients(bandlimit), bandlimit + 1
+        self._degrees = (degrees(bandlimit)[:, None] == np.arange(bands)).astype(np.float32)
+        shapes = ((self.blocks,), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 4))
+        begins = np.concatenate([[0], np.cumsum([_padded(4 * math.prod(shape)) for shape in shapes])])
         try:
-            file.truncate(head + 2 * 4 * pixels * self._width)
+            file.truncate(int(begins[-1]))
         except OSError as error:
             raise UserError(
                 f"{file.name}: cannot be written ({error.strerror or error}); free some space, or set "
                 "SLEPIAN_PRT_CACHE to a folder on another disk"
             ) from None
-        self._done = np.memmap(file, np.uint32, "r+", 0, (self.blocks,))
-        self._rows = np.memmap(file, np.float32, "r+", head, (2, pixels, self._width))
+        kinds = (np.uint32, np.float32, np.float32, np.float32)
+        self._done, self._vectors, self._squares, self._others = (
+            np.memmap(file, kind, "r+", int(begin), shape)
+            for kind, begin, shape in zip(kinds, begins, shapes, strict=False)
+        )
 
     def passes(self, block: int) -> int:
         """How many passes a block has."""
@@ -73,23 +79,22 @@ class PixelSums:
 
     def pixels(self, block: int) -> NDArray[np.int64]:
         """The pixels of a block."""
-        return np.arange(block * self._per_block, min((block + 1) * self._per_block, self._pixels))
+        rows = self._rows(block)
+        return np.arange(rows.start, rows.stop)
 
     def add(self, block: int, means: BlockSums) -> None:
         """Add one more pass to a block."""
-        done, rows = self.passes(block), slice(int(self.pixels(block)[0]), int(self.pixels(block)[-1]) + 1)
-        count, size = len(means.vectors), num_coefficients(self.bandlimit)
-        squares = np.add.reduceat(means.vectors**2, np.arange(self.bandlimit + 1) ** 2, axis=2)
-        parts = (
-            means.vectors.reshape(count, 3 * size),
-            squares.reshape(count, -1),
-            means.background,
-            means.rays[:, None],
-        )
-        new = np.concatenate(parts, axis=1)
-        if done:
-            new += self._rows[(done - 1) % 2, rows]
-        self._rows[done % 2, rows] = new
+        done, rows = self.passes(block), self._rows(block)
+        others = np.concatenate([means.background, means.rays[:, None]], axis=1)
+        for table, new in (
+            (self._vectors, means.vectors),
+            (self._squares, self._by_degree(means.vectors)),
+            (self._others, others),
+        ):
+            if done:
+                np.add(table[(done - 1) % 2, rows], new, out=table[done % 2, rows])
+            else:
+                table[0, rows] = new
         self._done[block] = done + 1
 
     def means(self, block: int) -> tuple[BlockSums, NDArray[np.float32]]:
@@ -98,18 +103,29 @@ class PixelSums:
         The variance is that of the mean of P passes, unbiased, from how much they differ; zero of one pass, which does
         not tell it.
         """
-        done, chosen = self.passes(block), self.pixels(block)
-        rows = np.array(self._rows[(done - 1) % 2, chosen[0] : chosen[-1] + 1]) / np.float32(done)
-        size, bands = num_coefficients(self.bandlimit), self.bandlimit + 1
-        vectors = np.ascontiguousarray(rows[:, : 3 * size]).reshape(-1, 3, size)
-        squares = rows[:, 3 * size : 3 * (size + bands)].reshape(-1, 3, bands)
-        of_mean = np.add.reduceat(vectors**2, np.arange(bands) ** 2, axis=2)
-        counts = np.bincount(degrees(self.bandlimit))
-        variance = np.maximum(squares - of_mean, 0.0) / np.float32(max(done - 1, 1)) / counts.astype(np.float32)
-        if done < 2:
-            variance[:] = 0.0
-        background = rows[:, 3 * (size + bands) : -1]
-        return BlockSums(vectors, np.ascontiguousarray(background), rows[:, -1] * np.float32(done)), variance
+        done, rows = self.passes(block), self._rows(block)
+        vectors, squares, others = (
+            np.asarray(table[(done - 1) % 2, rows] * np.float32(1.0 / done))
+            for table in (self._vectors, self._squares, self._others)
+        )
+        spread = np.maximum(squares - self._by_degree(vectors), 0.0) if done > 1 else np.zeros_like(squares)
+        counts = 2.0 * np.arange(self.bandlimit + 1) + 1.0
+        variance = (spread / (max(done - 1, 1) * counts)).astype(np.float32)
+        rays = np.asarray(others[:, 3] * np.float32(done))
+        return BlockSums(vectors, np.asarray(others[:, :3]), rays), variance
+
+    def _rows(self, block: int) -> slice:
+        return slice(block * self._per_block, min((block + 1) * self._per_block, self._pixels))
+
+    def _by_degree(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(n, 3, L+1) sums of squares over the orders of each degree; a product, which is faster than `reduceat`."""
+        flat = np.square(vectors).reshape(-1, vectors.shape[2]) @ self._degrees
+        return np.asarray(flat.reshape(-1, 3, self.bandlimit + 1))
+
+
+def _padded(size: int) -> int:
+    """Bytes up to where something else can be mapped."""
+    return -(-size // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
 
 
 @contextlib.contextmanager
