@@ -142,7 +142,7 @@ class CompressedTransfer(Summarised):
         if self.film is None:
             return None
         power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
-        return self.film.relative_noise(self.expected.total, power)
+        return self.film.relative_noise(self.channels * self.expected.total, power)  # expected of each channel
 
     @cached_property
     def bytes_per_vertex(self) -> float:

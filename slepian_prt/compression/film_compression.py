@@ -64,8 +64,8 @@ def compress_film(transfer: Transfer, tolerance: float | None = None) -> Compres
     noise = noise_of(transfer)
     if tolerance is None:
         tolerance = float(np.clip(_PART_OF_NOISE * noise, _FINEST, _COARSEST))
-    seen = int(np.count_nonzero(transfer.mesh.receivers.active))
-    if seen == 0:  # nothing to find functions for
+    if not transfer.vectors.any():  # nothing to find functions for
         return compress(transfer, "none", coding="float16")
+    seen = int(np.count_nonzero(transfer.mesh.receivers.active))
     clusters = int(np.clip(seen // _LEAST_PIXELS, 1, DEFAULT_CLUSTERS))
     return compress(transfer, tolerance=tolerance, clusters=clusters, light_prior=falling_prior(transfer.bandlimit))

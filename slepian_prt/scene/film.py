@@ -145,7 +145,10 @@ def pack_axes(axes: NDArray) -> NDArray[np.uint8]:
     square = np.where(
         flat[:, 2:] < 0.0, (1.0 - np.abs(flat[:, 1::-1])) * np.where(flat[:, :2] < 0.0, -1.0, 1.0), flat[:, :2]
     )
-    steps = np.rint(square * _STEPS).astype(np.int64) + _MIDDLE
+    steps = np.rint(square * _STEPS).astype(np.int64)
+    # Opposite points of each side of the square are the same: one of them is kept, so that what was read packs alike.
+    on_side = np.abs(steps[:, ::-1]) == _STEPS
+    steps = np.where(on_side, np.abs(steps), steps) + _MIDDLE
     steps[length[:, 0] == 0.0] = 0
     return np.ascontiguousarray(steps.T).astype(np.uint8)
 

@@ -171,7 +171,7 @@ def collect(job: Job, sums: PixelSums) -> tuple[NDArray[np.float32], Film, int]:
 def axes_of(vectors: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.float64]:
     """(V, 3) axes of pixels, as files keep them: the normals of what they show, zero where no light arrives.
 
-    Where no surface is met in the middle of a pixel, the mean direction of its light stands in.
+    Of a picture that is all dark no axis is zero, as there must be some. Where no surface is met in the middle of a pixel, the mean direction of its light stands in.
     """
     first = vectors[:, :, :4].mean(axis=1, dtype=np.float64) if vectors.shape[2] > 1 else np.zeros((len(vectors), 4))
     bent = np.stack([-first[:, 3], -first[:, 1], first[:, 2]], axis=1)
@@ -179,4 +179,5 @@ def axes_of(vectors: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArr
     bent = np.where(length > 0.0, bent / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
     known = np.any(normals != 0.0, axis=1)
     lit = np.asarray(vectors.any(axis=(1, 2)))
+    lit |= not lit.any()
     return stored_axes(np.where(lit[:, None], np.where(known[:, None], normals, bent), 0.0))
