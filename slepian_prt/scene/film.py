@@ -35,7 +35,7 @@ class Film:
         media; it is not in the transfer.
     directions : (k, rows, columns, 3) float32
         World space: where rays go that start on a grid over the picture, corners included, evenly spaced along each
-        side; through k points of the aperture.
+        side; through k points of the aperture. Of such lengths that between the nodes they are linear.
     noise : (V,) float32
         Expected standard deviation of radiance, RMS over the channels, under light of mean radiance 1 whose power falls
         as 1/(l+1)²; zero where it is not known.

@@ -14,9 +14,8 @@ from slepian_prt.scene.mitsuba.scenes import wanted_sensor
 # Cameras that have a picture; the others measure, or are several.
 _CAMERAS = ("PerspectiveCamera", "ThinLensCamera", "OrthographicCamera")
 
-# Cells that a reconstruction filter is tabulated in, and the pixels between nodes of the grid of directions.
+# Cells that a reconstruction filter is tabulated in.
 _CELLS = 2048
-_GRID_STEP = 16
 
 # Points of an aperture, by an additive recurrence (Roberts 2018).
 _APERTURE = 16
@@ -134,18 +133,19 @@ class CameraRays:
         return self._sensor.sample_ray(self._sensor.shutter_open(), mi.Float(0.5), place, mi.Point2f(0.5))[0]
 
     def directions(self) -> NDArray[np.float32]:
-        """(k, rows, columns, 3) as of `Film`."""
+        """(k, 2, 2, 3) as of `Film`: the corners tell all, as these cameras project on a plane."""
         mi, sensor = self._mi, self._sensor
-        columns, rows = (max(2, -(-n // _GRID_STEP) + 1) for n in (self.width, self.height))
         count = _APERTURE if sensor.needs_aperture_sample() else 1
         lens = np.modf(0.5 + np.arange(count)[:, None] * np.array(_STEPS))[0]
-        u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
-        shape = (count, rows, columns)
+        u, v = np.meshgrid([0.0, 1.0], [0.0, 1.0])
+        shape = (count, 2, 2)
         at = [np.broadcast_to(axis, shape).ravel().astype(np.float32) for axis in (u, v)]
         through = [np.broadcast_to(lens[:, axis, None, None], shape).ravel().astype(np.float32) for axis in (0, 1)]
         ray, _ = sensor.sample_ray(sensor.shutter_open(), mi.Float(0.5), mi.Point2f(*at), mi.Point2f(*through))
-        found = np.broadcast_to(np.array(ray.d, dtype=np.float32), (3, at[0].size))
-        return np.ascontiguousarray(found.T).reshape(*shape, 3)
+        found = np.broadcast_to(np.array(ray.d, dtype=np.float64), (3, at[0].size)).T.reshape(*shape, 3)
+        ahead = found.sum(axis=(1, 2), keepdims=True)
+        depth = np.sum(found * (ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)), axis=-1, keepdims=True)
+        return np.asarray(found / depth, dtype=np.float32)
 
     def _offset(self, u: Any, place: Any, size: int) -> tuple[Any, Any]:
         """How far from the middle of a pixel (at ``place``, of ``size``) along an axis, and with what weight.

@@ -93,7 +93,9 @@ def capture(
             passes = add_passes(job, sums, advance)
             clock.stop("transport")
             vectors, film, rays = collect(job, sums)
-        fixed = picture_lamps(mi, loaded, job.rays, lamps_of(mi, loaded, name), passes * settings.per_pass, seed)
+        fixed = picture_lamps(
+            mi, loaded, job.rays, lamps_of(mi, loaded, name), settings.per_pass, passes, settings.seed
+        )
         if fixed is not None:
             clock.stop("fixed lights")
         guides = look_at_surfaces(mi, loaded, job.rays)

@@ -20,7 +20,7 @@ _BRIGHTNESS = ("scale", "sun_scale", "sky_scale", "radiance", "intensity", "irra
 
 
 def picture_lamps(
-    mi: Any, loaded: Any, rays: CameraRays, lamps: list[Lamp], samples: int, seed: int
+    mi: Any, loaded: Any, rays: CameraRays, lamps: list[Lamp], samples: int, passes: int, seed: int
 ) -> FixedLights | None:
     """What the pixels of a camera show of each lamp, bounces and all; None without lamps.
 
@@ -31,18 +31,21 @@ def picture_lamps(
         As before afterwards.
     rays : CameraRays
     lamps : list of Lamp
-    samples : int
-        Of each pixel under each lamp.
+    samples, passes : int
+        Of each pixel under each lamp, in each pass.
     seed : int
     """
     if not lamps:
         return None
-    pictures = np.empty((len(lamps), rays.width * rays.height, 3), dtype=np.float32)
+    pictures = np.zeros((len(lamps), rays.width * rays.height, 3), dtype=np.float32)
     has_media = any(shape.is_medium_transition() for shape in loaded.shapes())
     integrator = mi.load_dict({"type": "volpath" if has_media else "path", "max_depth": -1})
     for number, lamp in enumerate(lamps):
         with silent(mi), _alone(mi, loaded, lamp.place):
-            pictures[number] = _picture(mi, loaded, integrator, rays, samples, seed + 1 + number)
+            for one in range(passes):
+                seeds = np.random.SeedSequence([seed, 1 + number, one])
+                pictures[number] += _picture(mi, loaded, integrator, rays, samples, int(seeds.generate_state(1)[0]))
+    pictures /= np.float32(passes)
     return FixedLights(
         tuple(lamp.name for lamp in lamps),
         tuple(lamp.kind for lamp in lamps),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 import math
@@ -84,10 +85,11 @@ def fingerprint(job: Job) -> str:
     digest.update(repr((*numbers, job.sensor.id(), str(job.loaded))).encode())
     parameters = job.mi.traverse(job.loaded)
     for name in parameters.keys():  # noqa: SIM118 (going through pairs, Mitsuba fails at what a hair BSDF leaves unset)
-        value = parameters[name]
         digest.update(name.encode())
-        # An array of a Mitsuba transform would hold its address.
-        digest.update(np.ascontiguousarray(np.array(getattr(value, "matrix", value))).tobytes())
+        with contextlib.suppress(TypeError):  # of which one is reading it
+            value = parameters[name]
+            # An array of a Mitsuba transform would hold its address.
+            digest.update(np.ascontiguousarray(np.array(getattr(value, "matrix", value))).tobytes())
     return digest.hexdigest()[:32]
 
 
@@ -171,10 +173,14 @@ def collect(job: Job, sums: PixelSums) -> tuple[NDArray[np.float32], Film, int]:
 def axes_of(vectors: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.float64]:
     """(V, 3) axes of pixels, as files keep them: the normals of what they show, zero where no light arrives.
 
-    Of a picture that is all dark no axis is zero, as there must be some. Where no surface is met in the middle of a pixel, the mean direction of its light stands in.
+    Where no surface is met in the middle of a pixel, the mean direction of its light stands in. Of a picture that is
+    all dark no axis is zero, as there must be some.
     """
-    first = vectors[:, :, :4].mean(axis=1, dtype=np.float64) if vectors.shape[2] > 1 else np.zeros((len(vectors), 4))
-    bent = np.stack([-first[:, 3], -first[:, 1], first[:, 2]], axis=1)
+    if vectors.shape[2] == 1:
+        bent = np.zeros((len(vectors), 3))
+    else:
+        first = vectors[:, :, :4].mean(axis=1, dtype=np.float64)
+        bent = np.stack([-first[:, 3], -first[:, 1], first[:, 2]], axis=1)
     length = np.linalg.norm(bent, axis=1, keepdims=True)
     bent = np.where(length > 0.0, bent / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
     known = np.any(normals != 0.0, axis=1)
