@@ -1,5 +1,7 @@
 """Sums over passes: means and variances, and what is left when a process is killed."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,17 @@ PIXELS, PER_BLOCK, BANDLIMIT = 10, 4, 2
 
 class Killed(BaseException):
     pass
+
+
+def raise_killed(*_):
+    raise Killed
+
+
+@contextmanager
+def killed():
+    """A with-block that does not end."""
+    with pytest.raises(Killed):
+        yield
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +65,7 @@ def test_one_pass_tells_no_variance(rng):
 
 def test_what_was_finished_is_there_for_the_same_job(rng, cache):
     first, second = some_pass(rng, 4), some_pass(rng, 4)
-    with pytest.raises(Killed), kept_sums("job", PIXELS, PER_BLOCK, BANDLIMIT) as sums:
+    with killed(), kept_sums("job", PIXELS, PER_BLOCK, BANDLIMIT) as sums:
         sums.add(0, first)
         sums.add(1, first)
         sums.add(0, second)
@@ -69,15 +82,10 @@ def test_what_was_finished_is_there_for_the_same_job(rng, cache):
 def test_killed_while_a_block_is_written(rng):
     """Half of a pass has been written: the passes before it are whole, and it is not counted."""
     first, second = some_pass(rng, 4), some_pass(rng, 4)
-    with pytest.raises(Killed), kept_sums("job", PIXELS, PER_BLOCK, BANDLIMIT) as sums:
+    with killed(), kept_sums("job", PIXELS, PER_BLOCK, BANDLIMIT) as sums, pytest.MonkeyPatch.context() as patch:
         sums.add(0, first)
-
-        def killed(*_):
-            raise Killed
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(PixelSums, "_by_degree", killed)
-            sums.add(0, second)
+        patch.setattr(PixelSums, "_by_degree", raise_killed)
+        sums.add(0, second)
     with kept_sums("job", PIXELS, PER_BLOCK, BANDLIMIT) as sums:
         assert sums.passes(0) == 1
         assert_exact(sums.means(0)[0].vectors, first.vectors, "one pass is its own mean")
