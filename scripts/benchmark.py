@@ -7,6 +7,7 @@ import sys
 from benchmarks.accuracy import accuracy
 from benchmarks.all_views import all_views
 from benchmarks.compression import compression
+from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.sphere import sphere
 from benchmarks.transport import dragons, transport
@@ -17,6 +18,7 @@ BENCHMARKS = {
     "transport": transport,
     "relighting": relighting,
     "accuracy": accuracy,
+    "paths": paths,
     "all_views": all_views,
     "dragons": dragons,
 }
