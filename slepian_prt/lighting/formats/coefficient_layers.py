@@ -11,6 +11,9 @@ from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output
 from slepian_prt.renderer.variants import bitmap_module
 
+# What part of the light right behind a pixel it shows.
+BACKGROUND = tuple(f"background.{colour}" for colour in "RGB")
+
 
 def channel_names(bandlimit: int) -> list[str]:
     """Names of the channels: ``l02.m-01.R`` is degree 2, order -1, red; degrees ascend, then orders, then R, G, B."""
@@ -43,7 +46,7 @@ def write_coefficients(
     count, _, size = vectors.shape
     colours = np.broadcast_to(vectors, (count, 3, size))
     layers = np.concatenate([np.moveaxis(colours, 1, 2).reshape(count, 3 * size), background], axis=1)
-    names = [*channel_names(round(size**0.5) - 1), *(f"background.{colour}" for colour in "RGB")]
+    names = [*channel_names(round(size**0.5) - 1), *BACKGROUND]
     pixels = np.ascontiguousarray(layers.reshape(height, width, -1), dtype=np.float32)
     bitmap = mi.Bitmap(pixels, mi.Bitmap.PixelFormat.MultiChannel, names)
     stream = mi.MemoryStream()
