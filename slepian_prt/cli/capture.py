@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 @environment_option("Map that the noise is about")
 @clamp_option
 @click.option("--tolerance", type=float, help="Wanted relative error of coding.  [default: that of the noise]")
+@click.option("--no-smooth", is_flag=True, help="Keep the noise as it is.")
 @parameters_option
 @seed_option
 def capture(
@@ -47,6 +48,7 @@ def capture(
     environment: tuple[str, ...],
     clamp_negative: bool,
     tolerance: float | None,
+    no_smooth: bool,
     **options: Any,
 ) -> None:
     """Render a camera of SCENE (Mitsuba xml) once: its picture under any light comes from that file, by relight.
@@ -58,10 +60,10 @@ def capture(
     from slepian_prt.cli.terminal import progress
     from slepian_prt.compression.film_compression import check_tolerance, compress_film, film_of
     from slepian_prt.lighting.formats.coefficient_layers import write_coefficients
-    from slepian_prt.transport.capturing.capture import capture as trace
+    from slepian_prt.transport.capturing.capture import open_capture
     from slepian_prt.transport.capturing.settings import CaptureSettings
 
-    settings = settings_of(CaptureSettings, options)
+    settings = settings_of(CaptureSettings, options, smooth=not no_smooth)
     check_tolerance(tolerance)
     files.check_writable(output, scene, *environment)
     suffix = Path(output).suffix.lower()
@@ -70,15 +72,16 @@ def capture(
     if environment and settings.max_error is None:
         raise UserError("`environment` says what `max_error` is about; give that too, and relight the file afterwards")
     power = _mean_power(environment, clamp_negative, settings.bandlimit)
-    with progress("paths", "pixels") as (advance, report):
-        transfer = trace(scene, power=power, advance=advance, **vars(settings))
+    with (
+        progress("paths", "pixels") as (advance, report),
+        open_capture(scene, settings, power, advance, report) as transfer,
+    ):
         film = film_of(transfer)
         if suffix == ".exr":
             write_coefficients(output, transfer.vectors, film.background, film.width, film.height)
         else:
             report("coding")
-            packed = compress_film(transfer, tolerance)
-            packed.save(output)
+            compress_film(transfer, tolerance).save(output)
     _say_what_came_of_it(output, transfer, settings.max_error)
 
 

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from slepian_prt.lighting.spectrum import falling_prior
 from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.scene.film import Film, stored_axes
-from slepian_prt.sphere.harmonics import degrees, num_coefficients
+from slepian_prt.sphere.harmonics import degrees
 from slepian_prt.transport.capturing.camera import CameraRays
+from slepian_prt.transport.capturing.denoising import Pixels
 from slepian_prt.transport.capturing.pixel_paths import LANES, PixelPaths
 from slepian_prt.transport.capturing.settings import CaptureSettings
 from slepian_prt.transport.capturing.sums import PixelSums
@@ -139,35 +140,38 @@ def _relative_noise(job: Job, sums: PixelSums) -> float:
     return math.sqrt(noise / max(signal - noise, 1e-300)) if signal > 0.0 else 0.0
 
 
-def collect(job: Job, sums: PixelSums) -> tuple[NDArray[np.float32], Film, int]:
-    """Vectors (V, 3, (L+1)²) of all pixels, on disk; their film; and the rays that were traced."""
-    rays, settings = job.rays, job.settings
-    size, counts = num_coefficients(settings.bandlimit), np.bincount(degrees(settings.bandlimit))
+def collect(job: Job, sums: PixelSums) -> Pixels:
+    """All pixels, their vectors on disk."""
+    bands = job.settings.bandlimit + 1
     with tempfile.TemporaryFile(prefix="slepian_prt-") as file:  # the map of it outlives it
-        vectors = np.memmap(file, np.float32, "w+", shape=(job.pixels, 3, size))
-    background = np.empty((job.pixels, 3), dtype=np.float32)
-    noise, power, traced = np.empty(job.pixels, dtype=np.float32), np.zeros(settings.bandlimit + 1), 0.0
-    # A light of mean radiance 1 has 4π in degree 0.
-    falling = 4.0 * math.pi * falling_prior(settings.bandlimit).weights ** 2
+        vectors = np.memmap(file, np.float32, "w+", shape=(job.pixels, 3, bands**2))
+    variance = np.empty((job.pixels, 3, bands), dtype=np.float32)
+    background, moments = (np.empty((job.pixels, 3), dtype=np.float32) for _ in range(2))
+    traced = 0.0
     for block in range(sums.blocks):
         pixels = sums.pixels(block)
-        means, variance = sums.means(block)
-        vectors[pixels], background[pixels] = means.vectors, means.background
-        noise[pixels] = np.sqrt(variance.mean(axis=1) @ (counts * falling))
-        power += variance.sum(axis=(0, 1), dtype=np.float64) * counts
+        means, variance[pixels] = sums.means(block)
+        vectors[pixels], background[pixels], moments[pixels] = means.vectors, means.background, means.moments
         traced += float(means.rays.sum(dtype=np.float64))
-    film = Film(
+    return Pixels(vectors, variance, background, moments, round(traced))
+
+
+def film_of(job: Job, pixels: Pixels) -> Film:
+    """The film of the camera, with the noise of its pixels."""
+    rays, counts = job.rays, np.bincount(degrees(job.settings.bandlimit))
+    # A light of mean radiance 1 has 4π in degree 0.
+    falling = 4.0 * math.pi * falling_prior(job.settings.bandlimit).weights ** 2
+    return Film(
         name=job.sensor.id(),
         width=rays.width,
         height=rays.height,
         crop=rays.crop,
         size=rays.size,
-        background=background,
+        background=pixels.background,
         directions=rays.directions(),
-        noise=noise,
-        noise_power=power / job.pixels,
+        noise=np.sqrt(pixels.variance.mean(axis=1) @ (counts * falling)).astype(np.float32),
+        noise_power=pixels.variance.sum(axis=1).mean(axis=0, dtype=np.float64) * counts,
     )
-    return vectors, film, round(traced)
 
 
 def axes_of(vectors: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.float64]:

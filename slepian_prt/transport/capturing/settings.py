@@ -37,6 +37,8 @@ class CaptureSettings:
     seed : int
     parameters : dict of str to number, bool or str, or None
         Of an .xml scene; kept as strings.
+    smooth : bool
+        Whether noise is taken out along the picture.
 
     Raises
     ------
@@ -51,6 +53,7 @@ class CaptureSettings:
     max_seconds: float | None = None
     seed: int = 0
     parameters: Mapping[str, object] | None = None
+    smooth: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bandlimit", check_bandlimit(self.bandlimit, largest=LARGEST_BANDLIMIT))

@@ -31,12 +31,15 @@ class BlockSums(NamedTuple):
     vectors : (n, 3, (L+1)²) float32
     background : (n, 3) float32
         As of `Film`.
+    moments : (n, 3) float32
+        Mean square of the throughput of paths.
     rays : (n,) float32
         Segments traced for each pixel.
     """
 
     vectors: NDArray[np.float32]
     background: NDArray[np.float32]
+    moments: NDArray[np.float32]
     rays: NDArray[np.float32]
 
 
@@ -58,7 +61,7 @@ class PixelSums:
         self.blocks = -(-pixels // per_block)
         size, bands = num_coefficients(bandlimit), bandlimit + 1
         self._degrees = (degrees(bandlimit)[:, None] == np.arange(bands)).astype(np.float32)
-        shapes = ((self.blocks,), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 4))
+        shapes = ((self.blocks,), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 7))
         begins = np.concatenate([[0], np.cumsum([_padded(4 * math.prod(shape)) for shape in shapes])])
         try:
             file.truncate(int(begins[-1]))
@@ -85,7 +88,7 @@ class PixelSums:
     def add(self, block: int, means: BlockSums) -> None:
         """Add one more pass to a block."""
         done, rows = self.passes(block), self._rows(block)
-        others = np.concatenate([means.background, means.rays[:, None]], axis=1)
+        others = np.concatenate([means.background, means.moments, means.rays[:, None]], axis=1)
         for table, new in (
             (self._vectors, means.vectors),
             (self._squares, self._by_degree(means.vectors)),
@@ -111,8 +114,8 @@ class PixelSums:
         spread = np.maximum(squares - self._by_degree(vectors), 0.0) if done > 1 else np.zeros_like(squares)
         counts = 2.0 * np.arange(self.bandlimit + 1) + 1.0
         variance = (spread / (max(done - 1, 1) * counts)).astype(np.float32)
-        rays = np.asarray(others[:, 3] * np.float32(done))
-        return BlockSums(vectors, np.asarray(others[:, :3]), rays), variance
+        rays = np.asarray(others[:, 6] * np.float32(done))
+        return BlockSums(vectors, np.asarray(others[:, :3]), np.asarray(others[:, 3:6]), rays), variance
 
     def _rows(self, block: int) -> slice:
         return slice(block * self._per_block, min((block + 1) * self._per_block, self._pixels))

@@ -59,7 +59,9 @@ def at_silhouettes(transfer, texels):
 
 
 def assert_shows(mi, description, seeds=(1, 2), integrator="path", spp=2 * SAMPLES):
-    captured = [capture(description, bandlimit=BANDLIMIT, samples=SAMPLES, seed=seed) for seed in range(RUNS)]
+    captured = [
+        capture(description, bandlimit=BANDLIMIT, samples=SAMPLES, seed=seed, smooth=False) for seed in range(RUNS)
+    ]
     tracer = mi.load_dict({"type": integrator})
     for seed in seeds:
         texels = smooth_map(seed)
@@ -148,7 +150,7 @@ def test_the_same_seed_gives_the_same_pixels(mi):
 def test_noise_is_told(mi):
     """What one capture tells of its own noise, against how much captures differ."""
     scene = mi.load_dict(open_box(mi, eye=camera(mi, film_of=film(16))))
-    runs = [capture(scene, samples=256, bandlimit=3, seed=seed) for seed in range(12)]
+    runs = [capture(scene, samples=256, bandlimit=3, seed=seed, smooth=False) for seed in range(12)]
     spread = np.stack([run.vectors for run in runs]).var(axis=0, ddof=1)
     measured = np.array([spread[:, :, l * l : (l + 1) ** 2].sum() for l in range(4)]) / len(spread)
     told = np.mean([run.film.noise_power for run in runs], axis=0)
@@ -184,7 +186,7 @@ def test_lamps_apart_from_the_sky(mi):
     description = open_box(mi, lamp=lamp, spot=spot)
     scene = under(mi, description, texels)
     before = str(scene), np.array(mi.traverse(scene)["sky.data"]).sum()
-    made = [capture(scene, samples=SAMPLES, bandlimit=BANDLIMIT, seed=seed) for seed in range(RUNS)]
+    made = [capture(scene, samples=SAMPLES, bandlimit=BANDLIMIT, seed=seed, smooth=False) for seed in range(RUNS)]
     assert (str(scene), np.array(mi.traverse(scene)["sky.data"]).sum()) == before
     assert set(made[0].fixed.names) == {"spot", "lamp"}
     path = mi.load_dict({"type": "path"})
@@ -199,7 +201,9 @@ def test_lamps_apart_from_the_sky(mi):
 def test_a_lamp_by_itself(mi):
     """Of two lamps the one that is asked for, against a scene that has no other."""
     lamps = {f"lamp{k}": {"type": "point", "position": [0.5 - k, 1.5, 1.0], "intensity": 1.5 + k} for k in (0, 1)}
-    made = [capture(open_box(mi, **lamps), samples=SAMPLES, bandlimit=0, seed=seed) for seed in range(RUNS)]
+    made = [
+        capture(open_box(mi, **lamps), samples=SAMPLES, bandlimit=0, seed=seed, smooth=False) for seed in range(RUNS)
+    ]
     alone = mi.load_dict(open_box(mi, lamp1=lamps["lamp1"]))
     path = mi.load_dict({"type": "path"})
     reference = [np.array(mi.render(alone, integrator=path, spp=2 * SAMPLES, seed=run)) for run in range(RUNS)]

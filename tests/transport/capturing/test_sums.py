@@ -34,7 +34,8 @@ def cache(tmp_path, monkeypatch):
 
 def some_pass(rng, count):
     vectors = rng.normal(size=(count, 3, 9)).astype(np.float32)
-    return BlockSums(vectors, rng.random((count, 3), dtype=np.float32), rng.random(count, dtype=np.float32))
+    background, moments = rng.random((2, count, 3), dtype=np.float32)
+    return BlockSums(vectors, background, moments, rng.random(count, dtype=np.float32))
 
 
 def test_means_and_variances(rng):
@@ -50,6 +51,7 @@ def test_means_and_variances(rng):
             assert_rounded(means.vectors, vectors.mean(axis=0), 8, 4.0)
             background = np.mean([one[block].background for one in passes], axis=0)
             assert_rounded(means.background, background, 8)
+            assert_rounded(means.moments, np.mean([one[block].moments for one in passes], axis=0), 8)
             assert_rounded(means.rays, np.sum([one[block].rays for one in passes], axis=0), 8)
             spread = vectors.var(axis=0, ddof=1) / len(passes)
             wanted = np.stack([spread[:, :, l * l : (l + 1) ** 2].mean(axis=2) for l in range(3)], axis=2)
