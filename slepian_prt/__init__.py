@@ -8,14 +8,16 @@
 
 Transfer and relighting
     precompute                      Trace what light reaches each vertex of a mesh or scene: its transfer vectors.
+    capture                         Trace what light reaches each pixel of a camera: one render, relit under any light.
     Transfer                        Transfer vectors and the mesh that they belong to; save.
     load_transfer                   Read transfer that was saved uncompressed.
     compress                        Project transfer vectors on few functions per cap and code the coefficients.
+    compress_film                   The same for captured pixels, to an error below their noise.
     CompressedTransfer              What a .prt file holds; save, reconstruct, predicted errors.
     load                            Read a .prt file.
     relight                         Radiance at the vertices under given lighting.
     render_picture, save_picture    Draw a model under a light, as an array or a file.
-    register                        Make the integrator `slepian_prt` known to Mitsuba.
+    register                        Make the integrators `slepian_prt` and `slepian_prt_capture` known to Mitsuba.
 Meshes and light
     read_mesh, make_mesh            A mesh from a file, or from arrays.
     Mesh                            Triangles with a normal and an albedo at each vertex.

@@ -1,5 +1,6 @@
 # The public names: `__init__.py` loads them from here when they are used.
 from .compression.compressed import CompressedTransfer as CompressedTransfer
+from .compression.film_compression import compress_film as compress_film
 from .compression.prt_file import load as load
 from .compression.stream import compress as compress
 from .errors import UserError as UserError
@@ -37,6 +38,7 @@ from .sphere.regions import cap_region as cap_region
 from .sphere.regions import mask_region as mask_region
 from .sphere.regions import polygon_region as polygon_region
 from .sphere.rotation import rotate_sh as rotate_sh
+from .transport.capturing.capture import capture as capture
 from .transport.transfer import Transfer as Transfer
 from .transport.transfer import precompute as precompute
 from .transport.transfer_file import load_transfer as load_transfer

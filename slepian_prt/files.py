@@ -5,11 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+import platformdirs
+
 from slepian_prt.errors import UserError
+
+# Finished work of jobs that nobody came back to.
+_STALE_SECONDS = 14 * 24 * 3600.0
 
 
 @contextlib.contextmanager
@@ -105,3 +111,35 @@ def write_all(folder: Path, files: dict[str, bytes]) -> None:
         raise UserError(
             f"{folder}: cannot be written ({error.strerror or error}); choose another folder for the output"
         ) from None
+
+
+def locked_cache_file(name: str) -> IO[bytes] | None:
+    """A file of the user's cache folder, or of SLEPIAN_PRT_CACHE, that no other process has while it is open.
+
+    None without a folder that can be written, or while another process has it. Files of its kind that are two weeks
+    old are removed.
+    """
+    folder = Path(os.environ.get("SLEPIAN_PRT_CACHE") or platformdirs.user_cache_path("slepian_prt"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _forget_stale(folder, Path(name).suffix)
+        file = (folder / name).open("a+b")
+    except OSError:
+        return None
+    try:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ImportError:
+        pass
+    except OSError:
+        file.close()
+        return None
+    return file
+
+
+def _forget_stale(folder: Path, suffix: str) -> None:
+    for path in folder.glob(f"*{suffix}"):
+        with contextlib.suppress(OSError):
+            if time.time() - path.stat().st_mtime > _STALE_SECONDS:
+                path.unlink()

@@ -17,6 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.format_pixels import mesh_of_pixels
+
 # --- The container ---------------------------------------------------------------------------------------------------
 
 
@@ -46,6 +48,8 @@ def read(path: str | Path) -> File:
         manifest = json.loads(container.read("manifest.json"))
         assert (manifest["format"], manifest["version"]) == ("slepian_prt transfer", 2)
         arrays = {name: np.load(io.BytesIO(container.read(f"{name}.npy"))) for name in manifest["arrays"]}
+    if "film" in manifest:
+        arrays |= mesh_of_pixels(manifest["film"], arrays)
     index, caps = cap_of_each_vertex(arrays)
     members = [np.flatnonzero(index == c) for c in range(caps)]
     widths = np.broadcast_to(arrays["caps/terms"], caps).astype(int) * manifest["channels"]

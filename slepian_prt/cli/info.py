@@ -63,6 +63,8 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "coding": packed.coding,
         "channels": packed.channels,
         "bounces": packed.bounces,
+        "film": None if packed.film is None else f"{packed.film.width} x {packed.film.height} of {packed.film.name}",
+        "noise": packed.noise(),
         "camera": None if packed.view is None else packed.view.name,
         "toward_camera": packed.toward_view,
         "lamps": None if packed.fixed is None else list(packed.fixed.names),

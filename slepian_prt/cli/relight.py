@@ -83,7 +83,7 @@ def relight(
     Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
     """
     from slepian_prt.relighting.drawing.pictures import MAP, TRANSPARENT, Finish
-    from slepian_prt.relighting.files.outputs import Wish, check_output, check_source, write_relit
+    from slepian_prt.relighting.files.outputs import Wish, check_film, check_output, check_source, write_relit
     from slepian_prt.relighting.series import Lights, relight_series
     from slepian_prt.scene.view import Aim
 
@@ -99,8 +99,10 @@ def relight(
     check_output(output, [file, *environment, *([scene] if scene else [])], lights.names, wish, several=lights.several)
     packed = read_transfer(file)
     check_source(output, packed, file)
+    check_film(output, packed, wish)
     series = relight_series(packed, lights, file, note)
     write_relit(output, packed, series, wish, note, file)
     shone = ", ".join(Path(path).name for path in environment) or "the light of the scene"
     several = f", {len(series.names)} results" if lights.several else ""
-    say(f"{output}: {len(packed.mesh.positions)} vertices under {shone}{several}")
+    what = "vertices" if packed.film is None else "pixels"
+    say(f"{output}: {len(packed.mesh.positions)} {what} under {shone}{several}")

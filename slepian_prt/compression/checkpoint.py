@@ -9,25 +9,20 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
-import os
 import struct
 import tempfile
-import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, NamedTuple, Protocol
 
 import numpy as np
-import platformdirs
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.files import locked_cache_file
 
 log = logging.getLogger(__name__)
-
-# Journals of jobs that nobody came back to.
-_STALE_SECONDS = 14 * 24 * 3600.0
 
 _HEADER = struct.Struct("<4sIQQQI")  # mark, number of the block, vertices, coefficients, rays, checksum
 _MARK = b"BLK2"
@@ -184,7 +179,7 @@ def journal(fingerprint: str) -> Iterator[Journal]:
     fingerprint : str
         Of all that the blocks depend on.
     """
-    file = _locked(fingerprint)
+    file = locked_cache_file(f"{fingerprint}.blocks")
     if file is None:
         log.info("no folder to keep finished work in, or another process does the same; if stopped, it starts again")
         with tempfile.TemporaryFile(prefix="slepian_prt-") as temporary:
@@ -195,30 +190,3 @@ def journal(fingerprint: str) -> Iterator[Journal]:
         yield kept
         with contextlib.suppress(OSError):
             Path(file.name).unlink()
-
-
-def _locked(fingerprint: str) -> IO[bytes] | None:
-    folder = Path(os.environ.get("SLEPIAN_PRT_CACHE") or platformdirs.user_cache_path("slepian_prt"))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _forget_stale(folder)
-        file = (folder / f"{fingerprint}.blocks").open("a+b")
-    except OSError:
-        return None
-    try:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except ImportError:
-        pass
-    except OSError:
-        file.close()
-        return None
-    return file
-
-
-def _forget_stale(folder: Path) -> None:
-    for path in folder.glob("*.blocks"):
-        with contextlib.suppress(OSError):
-            if time.time() - path.stat().st_mtime > _STALE_SECONDS:
-                path.unlink()

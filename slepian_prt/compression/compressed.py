@@ -17,6 +17,7 @@ from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.spectrum import falling_prior, light_power
+from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
@@ -67,6 +68,8 @@ class CompressedTransfer(Summarised):
         What the scene's lamps send, where it has any.
     path_noise : float or None
         Relative RMS noise of the vectors that were compressed, where paths were followed.
+    film : Film or None
+        Of a camera whose pixels are the receivers.
     verified : dict of str to float
         Where a goal was set: relative RMS errors of relit radiance, measured on vertices held out, by light.
     verified_vertices : int
@@ -102,6 +105,7 @@ class CompressedTransfer(Summarised):
     toward_view: bool = False
     fixed: FixedLights | None = None
     path_noise: float | None = None
+    film: Film | None = None
     verified: dict[str, float] = field(default_factory=dict)
     verified_vertices: int = 0
     verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)
@@ -132,6 +136,16 @@ class CompressedTransfer(Summarised):
         """
         power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
         return self.expected.relative(power)
+
+    def noise(self, lighting: NDArray | None = None) -> float | None:
+        """Relative RMS noise of a captured picture, averaged over the rotations of the light; None where none is known.
+
+        ``lighting`` as of `predicted_relit_error`.
+        """
+        if self.film is None:
+            return None
+        power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
+        return self.film.relative_noise(self.channels * self.expected.total, power)  # expected of each channel
 
     @cached_property
     def bytes_per_vertex(self) -> float:
@@ -195,5 +209,6 @@ class CompressedTransfer(Summarised):
             "light_prior": self.prior or None,
             "verified_error": verified or None,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
+            "film": None if self.film is None else f"{self.film.width} x {self.film.height} of {self.film.name}",
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }

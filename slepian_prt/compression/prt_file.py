@@ -17,12 +17,14 @@ from slepian_prt.compression.codec.entropy import MODELS
 from slepian_prt.compression.codec.prediction import CONTEXTS, Coded, Tuning
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import decode_all
+from slepian_prt.compression.film_packing import pack_film, unpack_film
 from slepian_prt.compression.lamp_packing import pack_lamps, unpack_lamps
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.errors import UserError
+from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Part
@@ -68,12 +70,15 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
         "verified_left_out": packed.verified_left_out,
         "written_by": f"slepian_prt {version('slepian_prt')}",
     }
-    mesh: dict[str, NDArray] = {
-        "mesh/positions": packed.mesh.positions,
-        "mesh/normals": packed.mesh.normals.astype(np.float32),
-        "mesh/faces": packed.mesh.faces,
-        "mesh/albedo": packed.mesh.albedo,
-    }
+    if packed.film is not None:
+        manifest["film"], mesh = pack_film(packed.film, packed.mesh)
+    else:
+        mesh = {
+            "mesh/positions": packed.mesh.positions,
+            "mesh/normals": packed.mesh.normals.astype(np.float32),
+            "mesh/faces": packed.mesh.faces,
+            "mesh/albedo": packed.mesh.albedo,
+        }
     light: dict[str, NDArray] = {} if packed.lighting is None else {"environment/lighting": packed.lighting}
     if packed.path_noise is not None:
         manifest["noise"] = packed.path_noise
@@ -158,14 +163,7 @@ def _coded_arrays(coded: Coded) -> dict[str, NDArray]:
 
 def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> CompressedTransfer:
     bandlimit, channels = int(manifest["bandlimit"]), int(manifest["channels"])
-    mesh = Mesh(
-        manifest["name"],
-        arrays["mesh/positions"],
-        arrays["mesh/normals"].astype(np.float64),
-        arrays["mesh/faces"],
-        arrays["mesh/albedo"],
-        tuple(manifest["notes"]),
-    )
+    film, mesh = _film_and_mesh(manifest, arrays)
     clusters = _clusters(arrays, mesh)
     terms = np.broadcast_to(arrays["caps/terms"].astype(np.int64), len(clusters.caps))
     bases = _bases(arrays, clusters, terms, bandlimit, channels, manifest["coding"] == "coded")
@@ -208,10 +206,26 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         toward_view=bool(manifest["toward_view"]),
         fixed=unpack_lamps(manifest.get("fixed"), arrays, len(mesh.positions)),
         path_noise=manifest.get("noise"),
+        film=film,
         verified=dict(manifest.get("verified", {})),
         verified_vertices=int(manifest.get("verified_vertices", 0)),
         verified_left_out=dict(manifest.get("verified_left_out", {})),
     )
+
+
+def _film_and_mesh(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> tuple[Film | None, Mesh]:
+    name, notes = manifest["name"], tuple(manifest["notes"])
+    if "film" in manifest:
+        return unpack_film(manifest["film"], arrays, name, notes)
+    mesh = Mesh(
+        name,
+        arrays["mesh/positions"],
+        arrays["mesh/normals"].astype(np.float64),
+        arrays["mesh/faces"],
+        arrays["mesh/albedo"],
+        notes,
+    )
+    return None, mesh
 
 
 def _clusters(arrays: dict[str, NDArray], mesh: Mesh) -> Clusters:

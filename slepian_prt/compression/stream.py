@@ -224,6 +224,7 @@ def encode_transfer(
         toward_view=transfer.toward_view,
         fixed=transfer.fixed,
         path_noise=transfer.noise,
+        film=transfer.film,
     )
 
 

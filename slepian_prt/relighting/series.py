@@ -185,9 +185,10 @@ def relight_series(
     negative = max(negative_fraction(one) for one in radiance)
     if negative >= _WORTH_SAYING:
         most = "at most " if len(radiance) > 1 else ""
+        what = "vertices" if packed.film is None else "pixels"
         remedy = "" if lights.window else "; `window` damps it"
         report(
-            f"{most}{negative:.2%} of the vertices are negative (ringing of small bright lights at this bandlimit"
+            f"{most}{negative:.2%} of the {what} are negative (ringing of small bright lights at this bandlimit"
             f"{remedy})"
         )
     environments = read_environments(lights) if lights.shown else ()

@@ -120,6 +120,42 @@ def _open_mitsuba(
 
 
 @contextmanager
+def open_mitsuba(source: SceneSource, parameters: Mapping[str, object] | None = None) -> Iterator[tuple[Any, Any, str]]:
+    """Load a scene of Mitsuba as it is, with its cameras, and yield Mitsuba in a working variant, the scene, its name.
+
+    Parameters
+    ----------
+    source : path of an .xml, mitsuba.Scene or dict
+    parameters : dict of str to number, bool or str, optional
+        Values of the ``$name`` in an .xml scene.
+
+    Raises
+    ------
+    UserError
+        Something else; a scene that Mitsuba cannot load; objects of a variant that cannot be used.
+    """
+    is_xml = isinstance(source, str | Path) and Path(source).suffix.lower() == ".xml"
+    if not is_xml and not isinstance(source, dict) and not is_of_mitsuba(source):
+        what = str(source) if isinstance(source, str | Path) else f"a {type(source).__name__}"
+        raise UserError(f"{what}: has no camera; give a Mitsuba .xml scene, its dict, or a mitsuba.Scene")
+    if parameters and not is_xml:
+        raise UserError("scene: is no Mitsuba .xml scene, and no other takes parameters; leave them out")
+    if is_xml:
+        check_readable(str(source), "a Mitsuba .xml scene")
+    with mitsuba(variant_of(source)) as mi, left_usable(mi, parts_of(mi, source)), _without_gradients():
+        with silent(mi):
+            if isinstance(source, dict):
+                name, (loaded, _) = "scene", load_dict(mi, source, needs_camera=True)
+            elif isinstance(source, str | Path):
+                given = scene_parameters(parameters)
+                name, (loaded, _) = str(source), load_xml(mi, Path(source), given, needs_camera=True)
+            else:
+                name = source.id() or "scene"  # type: ignore[union-attr]
+                loaded = scene_of(mi, source, name)
+        yield mi, loaded, name
+
+
+@contextmanager
 def _without_gradients() -> Iterator[None]:
     """Nothing recorded for derivatives, which parameters of the user's scene may be prepared for."""
     import drjit as dr  # not before Mitsuba, which knows where LLVM is

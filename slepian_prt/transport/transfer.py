@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
@@ -66,6 +67,8 @@ class Transfer(Summarised):
         What the scene's lamps send, where it has any.
     noise : float or None
         Relative RMS noise of ``vectors``, where paths were followed.
+    film : Film or None
+        Of a camera whose pixels are the receivers: the vertices of ``mesh``, which lies flat then.
     """
 
     vectors: NDArray[np.float32]
@@ -86,6 +89,7 @@ class Transfer(Summarised):
     toward_view: bool = False
     fixed: FixedLights | None = None
     noise: float | None = None
+    film: Film | None = None
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -104,7 +108,8 @@ class Transfer(Summarised):
         if noise is not None and size > 0.0:  # alike in all coefficients
             kept = vectors.shape[2] / self.vectors.shape[2]
             noise *= math.sqrt(kept) * float(np.linalg.norm(self.vectors)) / size
-        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None, noise=noise)
+        film = None if self.film is None else self.film.at_bandlimit(bandlimit)
+        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None, noise=noise, film=film)
 
     def save(self, path: str | Path) -> None:
         """Write all of it, uncompressed, as a NumPy ``.npz`` file, which `load_transfer` reads back.
@@ -136,6 +141,7 @@ class Transfer(Summarised):
             "environment": None if self.environment is None else self.environment.name,
             "noise": self.noise,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
+            "film": None if self.film is None else f"{self.film.width} x {self.film.height} of {self.film.name}",
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }
 

@@ -2,7 +2,8 @@
 
 ``numpy.load`` shows its arrays by name: ``vectors``, ``positions``, ``normals``, ``faces``, ``albedo``; ``axes`` where
 they are not the normals; those of the scene's own light if it has one, and of its lamps (``fixed_direct`` and
-``fixed_bounced``, (lamps, V, 3), and what they were set to); and ``about``, which is all else as JSON.
+``fixed_bounced``, (lamps, V, 3), and what they were set to); ``film_…`` where the receivers are the pixels of a camera;
+and ``about``, which is all else as JSON.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from slepian_prt.lighting.emitters import SkyEnvironment
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.sky import Disk, SkyQuadrature, Sun
+from slepian_prt.scene.film import Film
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
@@ -37,6 +39,8 @@ VERSION = 1
 _PLAIN = ("bandlimit", "samples", "seed", "bounces", "rays_traced", "seconds", "source", "toward_view")
 _FIXED = ("emitted", "direct", "bounced", "directions")
 _DISK = ("directions", "evaluated", "solid_angles")
+_FILM = ("background", "directions", "noise", "noise_power")
+_FILM_PLAIN = ("name", "width", "height", "crop", "size")
 
 
 def save_transfer(transfer: Transfer, path: str | Path) -> None:
@@ -82,6 +86,9 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
     if transfer.fixed is not None:
         about["fixed"] = {"names": transfer.fixed.names, "kinds": transfer.fixed.kinds}
         arrays |= {f"fixed_{name}": getattr(transfer.fixed, name) for name in _FIXED}
+    if transfer.film is not None:
+        about["film"] = {name: getattr(transfer.film, name) for name in _FILM_PLAIN}
+        arrays |= {f"film_{name}": getattr(transfer.film, name) for name in _FILM}
     arrays["about"] = np.array(json.dumps(about))
     with atomic_output(path) as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # of its keyword allow_pickle
@@ -146,6 +153,7 @@ def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
         environment=None if light is None else _light(light["name"], light["clamped"], arrays),
         view=None if about["view"] is None else View(**about["view"]),
         fixed=_fixed(about["fixed"], arrays, count) if "fixed" in about else None,
+        film=_film(about["film"], arrays, count) if "film" in about else None,
         parameters=dict(about.get("parameters", {})),
         noise=about.get("noise"),
         **{name: about[name] for name in _PLAIN},
@@ -159,6 +167,15 @@ def _fixed(lamps: dict[str, Any], arrays: dict[str, NDArray], count: int) -> Fix
     if direct.shape != (number, count, 3) or bounced.shape != direct.shape:
         raise ValueError(f"light of {number} lamps of shape {direct.shape} for {count} vertices")
     return FixedLights(tuple(lamps["names"]), tuple(lamps["kinds"]), emitted, direct, bounced, directions)
+
+
+def _film(about: dict[str, Any], arrays: dict[str, NDArray], count: int) -> Film:
+    """Pixels of a camera."""
+    known: dict[str, Any] = {name: arrays[f"film_{name}"] for name in _FILM}
+    film = Film(**{**about, "crop": tuple(about["crop"]), "size": tuple(about["size"])}, **known)
+    if film.width * film.height != count or film.background.shape != (count, 3) or film.noise.shape != (count,):
+        raise ValueError(f"a film of {film.width} x {film.height} pixels for {count} receivers")
+    return film
 
 
 # --- The scene's own light -------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from slepian_prt.errors import UserError, check_integer
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.lamps import scale_lamps
 from slepian_prt.relighting.drawing.camera import relit_camera
+from slepian_prt.relighting.drawing.film_pictures import FilmDrawing, check_taking
 from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scene_camera
 from slepian_prt.relighting.drawing.shots import Drawing, SceneDrawing, VertexDrawing
 from slepian_prt.relighting.relight import white_radiance
@@ -105,6 +106,9 @@ def open_drawing(
     UserError
         A scene that is named and cannot be used, or a view that cannot be taken.
     """
+    if packed.film is not None:
+        check_taking(packed.film, taking)
+        return FilmDrawing(packed.film, lit.radiance)
     source = locate_source(mi, packed, taking.scene, file, report)
     if source.scene is not None:
         drawing = _scene_drawing(mi, packed, lit, taking, source, report)

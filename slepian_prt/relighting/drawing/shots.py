@@ -26,11 +26,14 @@ class Drawing(Protocol):
     """Pictures by the number of their light, against an empty background."""
 
     @property
-    def directions(self) -> NDArray[np.float32]:
-        """(H, W, 3) through the middles of the pixels, in world space."""
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
 
     def picture(self, number: int) -> Picture:
         """The model under one light."""
+
+    def backdrop(self, environment: Environment) -> NDArray[np.float32]:
+        """(H, W, 3) what the pixels would show of a map if nothing stood before it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +44,18 @@ class VertexDrawing:
     radiance: NDArray[np.float32]
 
     @property
-    def directions(self) -> NDArray[np.float32]:
-        """As of the camera."""
-        return self.camera.directions
+    def size(self) -> tuple[int, int]:
+        """Height and width."""
+        height, width = self.camera.directions.shape[:2]
+        return int(height), int(width)
 
     def picture(self, number: int) -> Picture:
         """One sparse product."""
         return self.camera.picture(self.radiance[number])
+
+    def backdrop(self, environment: Environment) -> NDArray[np.float32]:
+        """Seen through the middles of the pixels."""
+        return draw_backdrop(environment, self.camera.directions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +75,16 @@ class SceneDrawing:
     def directions(self) -> NDArray[np.float32]:
         """As of the camera."""
         return self.camera.directions
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width."""
+        height, width = self.directions.shape[:2]
+        return int(height), int(width)
+
+    def backdrop(self, environment: Environment) -> NDArray[np.float32]:
+        """Seen through the middles of the pixels."""
+        return draw_backdrop(environment, self.directions)
 
     @cached_property
     def _kept(self) -> NDArray[np.float32]:
@@ -116,15 +134,14 @@ class Shots:
     @property
     def size(self) -> tuple[int, int]:
         """Height and width in pixels."""
-        height, width = self.drawing.directions.shape[:2]
-        return int(height), int(width)
+        return self.drawing.size
 
     def take(self, number: int) -> tuple[Picture, float]:
         """The picture under one light, with the environment behind it, and what exposes it by itself."""
         picture = self.drawing.picture(number)
         scale = exposure(picture)
         if self.finish.background == MAP:
-            picture = picture.over(draw_backdrop(self.environments[number], self.drawing.directions))
+            picture = picture.over(self.drawing.backdrop(self.environments[number]))
         return picture, scale
 
     def common_exposure(self) -> float:

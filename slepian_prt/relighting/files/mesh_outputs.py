@@ -20,6 +20,7 @@ from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh
 from slepian_prt.relighting.relight import white_radiance
 from slepian_prt.relighting.series import Series
 from slepian_prt.relighting.source import locate_source
+from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
@@ -41,6 +42,22 @@ def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray, names: Seque
             positions=mesh.positions,
             normals=mesh.normals.astype(np.float32),
             faces=mesh.faces,
+        )
+
+
+def write_film_radiance(path: str | Path, film: Film, radiance: NDArray, names: Sequence[str]) -> None:
+    """``.npz`` of pixels.
+
+    ``radiance`` (H, W, 3) or (B, H, W, 3) float32, linear RGB; ``names`` (B,) of the lights; ``coverage`` (H, W), the
+    part of each pixel that the scene covers; ``noise`` (H, W) as of `Film`.
+    """
+    with atomic_output(path) as file:
+        np.savez(
+            file,
+            radiance=np.asarray(film.picture(radiance), dtype=np.float32),
+            names=np.array(names, dtype=np.str_),
+            coverage=film.picture(film.coverage),
+            noise=film.picture(film.noise),
         )
 
 

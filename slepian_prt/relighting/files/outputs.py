@@ -12,17 +12,27 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_folder, check_writable
 from slepian_prt.relighting.drawing.drawings import Lit, Taking, open_drawing
+from slepian_prt.relighting.drawing.film_pictures import check_taking
 from slepian_prt.relighting.drawing.pictures import TRANSPARENT, Finish, write_picture
 from slepian_prt.relighting.drawing.shots import Shots
 from slepian_prt.relighting.files.films import film_encoder, write_film
-from slepian_prt.relighting.files.mesh_outputs import GLB, PLY, Canvas, Wanted, make_canvas, write_radiance
+from slepian_prt.relighting.files.mesh_outputs import (
+    GLB,
+    PLY,
+    Canvas,
+    Wanted,
+    make_canvas,
+    write_film_radiance,
+    write_radiance,
+)
 from slepian_prt.relighting.series import Series, read_environments
 from slepian_prt.renderer.variants import mitsuba
-from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.view import Aim
 
 # Of one result; several go to a folder, to one .npz, or to a film.
@@ -116,10 +126,11 @@ def write_relit(
         if wish.draws(output):
             shots = _shots(mi, packed, series, wish, file, report)
             if not shots.drawing.picture(0).alpha.any():
-                report(f"{output}: the camera sees no front of any surface; the picture is empty")
+                seen = "nothing of the scene" if packed.film is not None else "no front of any surface"
+                report(f"{output}: the camera sees {seen}; the picture is empty")
             _write_shots(output, shots, series.names, wish)
         elif wish.of(output) == ".npz":
-            _write_numbers(output, series, packed.mesh)
+            _write_numbers(output, series, packed)
         else:
             wanted = Wanted(wish.of(output), wish.aim.axis, wish.scene)
             canvas = make_canvas(mi, packed, series, wanted, file, report)
@@ -151,15 +162,21 @@ def _write_shots(output: str, shots: Shots, names: Sequence[str], wish: Wish) ->
                 write_picture(folder / f"{name}{wish.suffix}", shots.take(number)[0], scale, wish.finish)
 
 
-def _write_numbers(output: str, series: Series, mesh: Mesh) -> None:
-    """Radiance of the vertices, in one file or a folder of them."""
+def _write_numbers(output: str, series: Series, packed: CompressedTransfer) -> None:
+    """Radiance of the receivers, in one file or a folder of them."""
+
+    def write(path: str | Path, radiance: NDArray, names: Sequence[str]) -> None:
+        if packed.film is not None:
+            write_film_radiance(path, packed.film, radiance, names)
+        else:
+            write_radiance(path, packed.mesh, radiance, names)
+
     if Path(output).suffix.lower() == ".npz":
-        radiance = series.radiance if len(series.names) > 1 else series.radiance[0]
-        write_radiance(output, mesh, radiance, series.names)
+        write(output, series.radiance if len(series.names) > 1 else series.radiance[0], series.names)
         return
     with complete_folder(output) as folder:
         for name, one in zip(series.names, series.radiance, strict=True):
-            write_radiance(folder / f"{name}.npz", mesh, one, [name])
+            write(folder / f"{name}.npz", one, [name])
 
 
 def _write_meshes(output: str, canvas: Canvas, names: Sequence[str], wish: Wish, report: Callable[[str], None]) -> None:
@@ -225,6 +242,17 @@ def check_output(output: str, inputs: Sequence[str | Path], names: Sequence[str]
                 check_writable(file, *inputs)
         return
     check_writable(output, *inputs)
+
+
+def check_film(output: str, packed: CompressedTransfer, wish: Wish) -> None:
+    """Raise UserError for what a picture of pixels cannot become: a mesh, or a picture of another camera."""
+    if packed.film is None:
+        return
+    if wish.of(output) in MESHES:
+        raise UserError(
+            f"{output}: the file holds the pixels of a camera, which are no mesh; name one of .png, .exr, .npz"
+        )
+    check_taking(packed.film, wish.taking)
 
 
 def check_source(output: str, packed: CompressedTransfer, file: str) -> None:

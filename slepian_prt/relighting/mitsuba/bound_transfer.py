@@ -48,6 +48,11 @@ class BoundTransfer:
     def __init__(
         self, mi: Any, held: HeldFile, damping: Callable[[int], NDArray[np.float64]], *, fixed_lights: float = 1.0
     ) -> None:
+        if held.packed.film is not None:
+            raise UserError(
+                f"{held.name}: holds the pixels of a camera, which no other can look at; precompute the scene for the "
+                "integrator, or relight the file as it is"
+            )
         self._mi = mi
         self.name = held.name
         self.packed = held.packed

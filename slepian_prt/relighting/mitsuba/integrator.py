@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, material_kind
 from slepian_prt.paths.media import Media, media_of
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
+from slepian_prt.relighting.mitsuba.capture_integrator import CAPTURE_NAME, capture_plugin
 from slepian_prt.relighting.mitsuba.gathering import Gatherer
 from slepian_prt.relighting.mitsuba.held_files import held_file, is_in_memory
 from slepian_prt.relighting.mitsuba.lamps import Lamps
@@ -32,7 +34,7 @@ _registered: set[str] = set()
 
 
 def register() -> None:
-    """Make the integrator `slepian_prt` known to Mitsuba, in the current variant and all that are switched to later.
+    """Make `slepian_prt` and `slepian_prt_capture` known to Mitsuba, in the current variant and all switched to later.
 
     May be called before or after a variant is set, and any number of times.
     """
@@ -52,14 +54,20 @@ def _on_variant(_old: str | None, new: str | None) -> None:
 
 def _register_in(mi: Any, variant: str) -> None:
     if variant not in _registered:
-        plugin = _refuse if variant.startswith("scalar_") else _plugin_class(mi)
-        mi.register_integrator(NAME, lambda properties: plugin(properties))
+        scalar = variant.startswith("scalar_")
+        for name, plugin_class in ((NAME, _plugin_class), (CAPTURE_NAME, capture_plugin)):
+            plugin = partial(_refuse, name) if scalar else plugin_class(mi)
+            mi.register_integrator(name, partial(_made, plugin))
         _registered.add(variant)
 
 
-def _refuse(_properties: Any) -> Any:
+def _made(plugin: Any, properties: Any) -> Any:
+    return plugin(properties)
+
+
+def _refuse(name: str, _properties: Any) -> Any:
     raise UserError(
-        f"the integrator {NAME} needs an llvm_* or cuda_* variant of Mitsuba; call mi.set_variant() with one"
+        f"the integrator {name} needs an llvm_* or cuda_* variant of Mitsuba; call mi.set_variant() with one"
     )
 
 

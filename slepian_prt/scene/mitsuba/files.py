@@ -23,8 +23,8 @@ log = logging.getLogger(__name__)
 # Names that the parser's own arguments have in Python, so that no parameter of a scene can be handed over by them.
 _TAKEN = ("config", "filename")
 
-# Our integrator may stand in a scene whose transfer is still to be computed, and need not be registered then.
-_INTEGRATOR = "slepian_prt"
+# Our integrators may stand in a scene whose transfer is still to be computed, and need not be registered then.
+_INTEGRATORS = ("slepian_prt", "slepian_prt_capture")
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def _take_out(mi: Any, state: Any, *kinds: str) -> int:
     for name in list(properties):
         if isinstance(properties[name], mi.Properties.ResolvedReference):
             node = state.nodes[properties[name].index()]
-            ours = "Integrator" in kinds and node.props.plugin_name() == _INTEGRATOR
+            ours = "Integrator" in kinds and node.props.plugin_name() in _INTEGRATORS
             if ours or node.type.name in kinds:
                 del properties[name]
                 count += 1

@@ -52,7 +52,7 @@ def scene_from_mitsuba(mi: Any, loaded: Any, path: Path, origin: NDArray[np.floa
         left_out = effects_left_out(mi, shapes.outcomes, view=view is not None)
         listed = "; ".join(row.name for row in left_out) or "it has no shapes"
         raise UserError(f"{path}: nothing in the scene can be lit ({listed}); add a shape with a diffuse material")
-    environment = _distant_light(mi, loaded.emitters(), str(path))
+    environment = distant_light(mi, loaded.emitters(), str(path))
     traced = (*(shape.shape for shape in shapes.receiving), *shapes.occluders)
     geometry = traced_scene(mi, traced, shapes.groups)
     two_sided = np.array([materials.reflects_on_both_sides(mi, shape.shape.bsdf()) for shape in shapes.receiving])
@@ -132,7 +132,7 @@ def _joined(name: str, meshes: Sequence[Mesh], offsets: Sequence[int], origin: N
 
 def _camera(mi: Any, sensors: Sequence[Any], view: str | int | None, path: Path) -> tuple[Any, View | None]:
     """The wanted camera, or without a wish the first if there is one; and it as a `View`, None for another kind."""
-    sensor = _wanted_sensor(sensors, view, path)
+    sensor = wanted_sensor(sensors, view, path)
     scene_view = view_of(mi, sensor)
     if view is not None and scene_view is None:
         raise UserError(f"{path}: camera {view!r} is a {sensor.class_name()}; a view needs a plain perspective camera")
@@ -145,7 +145,7 @@ def _camera(mi: Any, sensors: Sequence[Any], view: str | int | None, path: Path)
     return sensor, scene_view
 
 
-def _wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: Path) -> Any:
+def wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: str | Path) -> Any:
     """The camera of that id or number; without one, the first, or None."""
     if view is None:
         return sensors[0] if sensors else None
@@ -158,7 +158,7 @@ def _wanted_sensor(sensors: Sequence[Any], view: str | int | None, path: Path) -
     raise UserError(f"{path}: no camera {view!r}; name one by number or id: {known}")
 
 
-def _distant_light(mi: Any, emitters: Sequence[Any], origin: str) -> Environment | None:
+def distant_light(mi: Any, emitters: Sequence[Any], origin: str) -> Environment | None:
     """The scene's distant light; lamps are found in the scene as it was loaded."""
     environment = None
     for emitter in emitters:

@@ -1,0 +1,104 @@
+"""Pictures of a scene under each of its lamps, by Mitsuba's own integrators, with all other light turned off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.lighting.lamps import Lamp
+from slepian_prt.scene.mitsuba.files import silent
+from slepian_prt.transport.capturing.camera import CameraRays
+from slepian_prt.transport.capturing.pixel_paths import LANES, pixels_of_lanes, stratified_sampler
+
+# What emitters call their brightness: factors, colours and texels.
+_BRIGHTNESS = ("scale", "sun_scale", "sky_scale", "radiance", "intensity", "irradiance")
+
+
+def picture_lamps(
+    mi: Any, loaded: Any, rays: CameraRays, lamps: list[Lamp], samples: int, passes: int, seed: int
+) -> FixedLights | None:
+    """What the pixels of a camera show of each lamp, bounces and all; None without lamps.
+
+    Parameters
+    ----------
+    mi : Mitsuba
+    loaded : Mitsuba scene
+        As before afterwards.
+    rays : CameraRays
+    lamps : list of Lamp
+    samples, passes : int
+        Of each pixel under each lamp, in each pass.
+    seed : int
+    """
+    if not lamps:
+        return None
+    pictures = np.zeros((len(lamps), rays.width * rays.height, 3), dtype=np.float32)
+    has_media = any(shape.is_medium_transition() for shape in loaded.shapes())
+    integrator = mi.load_dict({"type": "volpath" if has_media else "path", "max_depth": -1})
+    for number, lamp in enumerate(lamps):
+        with silent(mi), _alone(mi, loaded, lamp.place):
+            for one in range(passes):
+                seeds = np.random.SeedSequence([seed, 1 + number, one])
+                pictures[number] += _picture(mi, loaded, integrator, rays, samples, int(seeds.generate_state(1)[0]))
+    pictures /= np.float32(passes)
+    return FixedLights(
+        tuple(lamp.name for lamp in lamps),
+        tuple(lamp.kind for lamp in lamps),
+        np.stack([lamp.emitted for lamp in lamps]),
+        pictures,
+        np.zeros_like(pictures),
+        np.stack([lamp.direction for lamp in lamps]),
+    )
+
+
+@contextmanager
+def _alone(mi: Any, loaded: Any, place: int) -> Iterator[None]:
+    """All emitters of a scene but one turned off, for the length of a with-block."""
+    changed = []
+    try:
+        for number, emitter in enumerate(loaded.emitters()):
+            parameters = mi.traverse(emitter)
+            names = [name for name in parameters.keys() if _is_brightness(name)]  # noqa: SIM118
+            if number != place and names:
+                changed.append((parameters, {name: _copy(parameters[name]) for name in names}))
+                for name in names:
+                    parameters[name] = parameters[name] * 0
+                parameters.update()
+        yield
+    finally:
+        for parameters, before in changed:
+            for name, value in before.items():
+                parameters[name] = value
+            parameters.update()
+
+
+def _is_brightness(name: str) -> bool:
+    parts = name.split(".")
+    return parts[0] in _BRIGHTNESS and (len(parts) == 1 or parts[-1] in ("value", "data", "scale"))
+
+
+def _copy(value: Any) -> Any:
+    return value if isinstance(value, float | int) else type(value)(value)
+
+
+def _picture(mi: Any, loaded: Any, integrator: Any, rays: CameraRays, samples: int, seed: int) -> NDArray[np.float32]:
+    """(V, 3) mean radiance of the pixels."""
+    import drjit as dr
+
+    count = rays.width * rays.height
+    per_block = max(1, LANES // samples)
+    picture = np.empty((count, 3), dtype=np.float32)
+    for begin in range(0, count, per_block):
+        pixels = np.arange(begin, min(begin + per_block, count))
+        sampler = stratified_sampler(mi, samples, len(pixels), seed, begin * samples)
+        ray, weight = rays.sample(sampler, pixels_of_lanes(mi, pixels, samples))
+        radiance, _, _ = integrator.sample(loaded, sampler, mi.RayDifferential3f(ray), rays.medium, mi.Bool(True))
+        shown = mi.Color3f(mi.unpolarized_spectrum(radiance)) * weight
+        dr.eval(shown)
+        picture[pixels] = np.stack([np.array(dr.block_sum(one, samples)) for one in shown], axis=1) / samples
+    return picture

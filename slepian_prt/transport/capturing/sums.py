@@ -1,0 +1,151 @@
+"""Sums over the paths of all pixels, on disk: passes add to them block by block, and work that is killed goes on."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import mmap
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.files import locked_cache_file
+from slepian_prt.sphere.harmonics import degrees, num_coefficients
+
+log = logging.getLogger(__name__)
+
+SUFFIX = ".capture"
+
+
+class BlockSums(NamedTuple):
+    """What the paths of one pass bring to n pixels, divided by their number.
+
+    Attributes
+    ----------
+    vectors : (n, 3, (L+1)²) float32
+    background : (n, 3) float32
+        As of `Film`.
+    moments : (n, 3) float32
+        Mean square of the throughput of paths.
+    rays : (n,) float32
+        Segments traced for each pixel.
+    """
+
+    vectors: NDArray[np.float32]
+    background: NDArray[np.float32]
+    moments: NDArray[np.float32]
+    rays: NDArray[np.float32]
+
+
+class PixelSums:
+    """Sums over passes: of the vectors, of their squares in each degree, of the background.
+
+    Two copies take turns: a block is written to the one that its last finished pass is not in, and only then counted,
+    so that what is there when a process is killed is always whole.
+
+    Parameters
+    ----------
+    file : binary file
+        Of this capture alone, read and written; empty, or as it was left.
+    pixels, per_block, bandlimit : int
+    """
+
+    def __init__(self, file: IO[bytes], pixels: int, per_block: int, bandlimit: int) -> None:
+        self.bandlimit, self._pixels, self._per_block = bandlimit, pixels, per_block
+        self.blocks = -(-pixels // per_block)
+        size, bands = num_coefficients(bandlimit), bandlimit + 1
+        self._degrees = (degrees(bandlimit)[:, None] == np.arange(bands)).astype(np.float32)
+        shapes = ((self.blocks,), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 7))
+        begins = np.concatenate([[0], np.cumsum([_padded(4 * math.prod(shape)) for shape in shapes])])
+        try:
+            file.truncate(int(begins[-1]))
+        except OSError as error:
+            raise UserError(
+                f"{file.name}: cannot be written ({error.strerror or error}); free some space, or set "
+                "SLEPIAN_PRT_CACHE to a folder on another disk"
+            ) from None
+        kinds = (np.uint32, np.float32, np.float32, np.float32)
+        self._done, self._vectors, self._squares, self._others = (
+            np.memmap(file, kind, "r+", int(begin), shape)
+            for kind, begin, shape in zip(kinds, begins, shapes, strict=False)
+        )
+
+    def passes(self, block: int) -> int:
+        """How many passes a block has."""
+        return int(self._done[block])
+
+    def pixels(self, block: int) -> NDArray[np.int64]:
+        """The pixels of a block."""
+        rows = self._rows(block)
+        return np.arange(rows.start, rows.stop)
+
+    def add(self, block: int, means: BlockSums) -> None:
+        """Add one more pass to a block."""
+        done, rows = self.passes(block), self._rows(block)
+        others = np.concatenate([means.background, means.moments, means.rays[:, None]], axis=1)
+        for table, new in (
+            (self._vectors, means.vectors),
+            (self._squares, self._by_degree(means.vectors)),
+            (self._others, others),
+        ):
+            if done:
+                np.add(table[(done - 1) % 2, rows], new, out=table[done % 2, rows])
+            else:
+                table[0, rows] = new
+        self._done[block] = done + 1
+
+    def means(self, block: int) -> tuple[BlockSums, NDArray[np.float32]]:
+        """Means over all passes of a block, and the variance of a coefficient of each degree (n, 3, L+1).
+
+        The variance is that of the mean of P passes, unbiased, from how much they differ; zero of one pass, which does
+        not tell it.
+        """
+        done, rows = self.passes(block), self._rows(block)
+        vectors, squares, others = (
+            np.asarray(table[(done - 1) % 2, rows] * np.float32(1.0 / done))
+            for table in (self._vectors, self._squares, self._others)
+        )
+        spread = np.maximum(squares - self._by_degree(vectors), 0.0) if done > 1 else np.zeros_like(squares)
+        counts = 2.0 * np.arange(self.bandlimit + 1) + 1.0
+        variance = (spread / (max(done - 1, 1) * counts)).astype(np.float32)
+        rays = np.asarray(others[:, 6] * np.float32(done))
+        return BlockSums(vectors, np.asarray(others[:, :3]), np.asarray(others[:, 3:6]), rays), variance
+
+    def _rows(self, block: int) -> slice:
+        return slice(block * self._per_block, min((block + 1) * self._per_block, self._pixels))
+
+    def _by_degree(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(n, 3, L+1) sums of squares over the orders of each degree; a product, which is faster than `reduceat`."""
+        flat = np.square(vectors).reshape(-1, vectors.shape[2]) @ self._degrees
+        return np.asarray(flat.reshape(-1, 3, self.bandlimit + 1))
+
+
+def _padded(size: int) -> int:
+    """Bytes up to where something else can be mapped."""
+    return -(-size // mmap.ALLOCATIONGRANULARITY) * mmap.ALLOCATIONGRANULARITY
+
+
+@contextlib.contextmanager
+def kept_sums(fingerprint: str, pixels: int, per_block: int, bandlimit: int) -> Iterator[PixelSums]:
+    """Sums in the cache folder, gone when the with-block ends well, and there for the same capture when it does not.
+
+    Without a folder that can be written, or while another process captures the same, they are in a temporary file.
+    """
+    file = locked_cache_file(f"{fingerprint}{SUFFIX}")
+    if file is None:
+        log.info("no folder to keep finished work in, or another process does the same; if stopped, it starts again")
+        with tempfile.TemporaryFile(prefix="slepian_prt-") as temporary:
+            yield PixelSums(temporary, pixels, per_block, bandlimit)
+        return
+    with file:
+        path = Path(file.name)
+        with path.open("r+b") as both:  # what is opened to append cannot be mapped for writing
+            yield PixelSums(both, pixels, per_block, bandlimit)
+        with contextlib.suppress(OSError):
+            path.unlink()
