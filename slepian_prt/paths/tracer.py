@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 from slepian_prt.paths.lobes import MaterialTable, Remainder
 from slepian_prt.paths.media import Media, media_of
-from slepian_prt.paths.scattering import Scatterer
+from slepian_prt.paths.scattering import Drawn, Scatterer
 
 # Longest path that can be asked for is none at all, as Mitsuba's ``max_depth`` -1.
 _ENDLESS = 0xFFFFFFFF
@@ -39,6 +39,26 @@ class KnownSurfaces(Protocol):
         ...
 
 
+class Lights(Protocol):
+    """Lamps whose light is added up along paths; ``found`` is a PyTree of Mitsuba's arrays that goes along."""
+
+    def start(self, lanes: int) -> Any:
+        """``found`` before the first segments."""
+        ...
+
+    def met(self, scene: Any, si: Any, covered: Any, throughput: Any, active: Any, found: Any) -> Any:
+        """``found`` with what surfaces emit that paths met (SurfaceInteraction3f), of those that anything covered."""
+        ...
+
+    def sampled(self, scene: Any, sampler: Any, point: Scatterer, throughput: Any, active: Any, found: Any) -> Any:
+        """``found`` with the light that comes to points straight from lamps, which the points scatter."""
+        ...
+
+    def left(self, point: Scatterer, drawn: Drawn, active: Any, found: Any) -> Any:
+        """``found`` after the next directions were drawn."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class PathEnds:
     """Where paths ended, on Mitsuba's arrays.
@@ -59,6 +79,7 @@ class PathEnds:
         What that met.
     points : UInt32
         Number of points of the scene on the way.
+    found : what `Lights` gathered, or an empty tuple
     """
 
     escaped: Any
@@ -68,6 +89,7 @@ class PathEnds:
     ray: Any
     hit: Any
     points: Any
+    found: Any = ()
 
 
 class PathTracer:
@@ -81,6 +103,7 @@ class PathTracer:
     materials : iterable of Mitsuba BSDFs
         Of its shapes.
     known : KnownSurfaces, optional
+    lights : Lights, optional
     max_depth, rr_depth : int
         As of Mitsuba's ``path``.
 
@@ -97,10 +120,11 @@ class PathTracer:
         materials: Iterable[Any],
         *,
         known: KnownSurfaces | None = None,
+        lights: Lights | None = None,
         max_depth: int = -1,
         rr_depth: int = 5,
     ) -> None:
-        self._mi, self._scene, self._known = mi, scene, known
+        self._mi, self._scene, self._known, self._lights = mi, scene, known, lights
         self.table = MaterialTable(mi, materials)
         self._media = Media(mi, media_of(mi, scene))
         self.has_media = self._media.present
@@ -153,15 +177,16 @@ class PathTracer:
             mi.Bool(False),  # Has it escaped?
             mi.Bool(False),  # Has it ended on a known surface?
             mi.Bool(False),  # Was there anything on the way?
+            () if self._lights is None else self._lights.start(dr.width(ray)),  # Light of lamps
         )
         step = partial(self._step, first_known)
         state = dr.while_loop(state, lambda *state: state[1], step, label="slepian_prt: paths")
-        _, _, ray, hit, _, β, _, points, escaped, held, covered = state
-        return PathEnds(escaped, held, covered, dr.select(escaped | held, β, 0.0), ray, hit, points)
+        _, _, ray, hit, _, β, _, points, escaped, held, covered, found = state
+        return PathEnds(escaped, held, covered, dr.select(escaped | held, β, 0.0), ray, hit, points, found)
 
     def _step(
         self, first_known: Any, sampler: Any, active: Any, ray: Any, hit: Any, medium: Any, β: Any, η: Any,
-        points: Any, escaped: Any, held: Any, covered: Any,
+        points: Any, escaped: Any, held: Any, covered: Any, found: Any,
     ) -> tuple[Any, ...]:  # fmt: skip
         import drjit as dr
 
@@ -174,6 +199,8 @@ class PathTracer:
         escaped |= arrives & ~si.is_valid()
         active &= ~escaped & (points + 1 < self._max_depth)
         arrives &= active
+        if self._lights is not None:
+            found = self._lights.met(self._scene, si, covered, β, arrives, found)
 
         # ----------------- Light that is known ---------------------
 
@@ -193,7 +220,11 @@ class PathTracer:
 
         # ---------------------- The next point ---------------------
 
+        if self._lights is not None:
+            found = self._lights.sampled(self._scene, sampler, point, β, active & point.active, found)
         drawn = point.sample(sampler)
+        if self._lights is not None:
+            found = self._lights.left(point, drawn, active & point.active, found)
         β = dr.select(active, β * mi.Color3f(drawn.weight), β)
         η = η * dr.select(active, drawn.eta, 1.0)
         covered |= active & ~mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null)
@@ -209,4 +240,4 @@ class PathTracer:
         medium = dr.select(active, point.medium_toward(drawn.direction), medium)
         ray = dr.select(active, onward, ray)
         hit = dr.select(active, self._scene.ray_intersect_preliminary(onward, coherent=False, active=active), hit)
-        return sampler, active, ray, hit, medium, β, η, points, escaped, held, covered
+        return sampler, active, ray, hit, medium, β, η, points, escaped, held, covered, found

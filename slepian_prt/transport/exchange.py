@@ -25,6 +25,7 @@ from slepian_prt.transport.interreflection import (
     count_bounces,
     gather_operator,
 )
+from slepian_prt.transport.lamp_paths import trace_lamp_paths
 from slepian_prt.transport.path_light import PathLight, trace_paths
 from slepian_prt.transport.planned import PlannedScene
 from slepian_prt.transport.smoothing import relative_noise, smooth, surface_guides, variance_of_halves
@@ -147,12 +148,16 @@ class _Solver:
             self._planned.clock.stop("bounces")
             noise = self._take_out_noise(paths, vectors, bounces)
             self._planned.clock.stop("smoothing")
+        rays = sum(part.rays for part in (self._gather, paths) if part is not None)
         if fixed is not None:
-            bounced = bounced_light(self._exchange, self._albedo, fixed.direct, self._channels, settings.bounces)
+            brought, lamp_rays = self._light_of_lamps()
+            rays += lamp_rays
+            bounced = bounced_light(
+                self._exchange, self._albedo, fixed.direct, self._channels, settings.bounces, brought
+            )
             for light in bounced:
                 interior.fill(light)
             fixed = replace(fixed, bounced=bounced)
-        rays = sum(part.rays for part in (self._gather, paths) if part is not None)
         if paths is None:
             self._planned.clock.stop("interreflection")
         return Exchanged(vectors, fixed, bounces, rays, noise)
@@ -181,6 +186,27 @@ class _Solver:
             vectors += self._spread(change, bounces)
             self._interior.fill(vectors)
         return relative_noise(variance, vectors)
+
+    def _light_of_lamps(self) -> tuple[NDArray[np.float32] | None, int]:
+        """(lamps, V, 3) what comes from lamps by way of mirrors, glass and the like; and the rays that it took."""
+        planned, wanted = self._planned, self._planned.plan.paths
+        if wanted is None:
+            return None, 0
+        scene, groups, settings = planned.scene, planned.lamps.groups, planned.settings
+        found = trace_lamp_paths(scene, groups, wanted.receivers, wanted.samples, wanted.effects, settings.seed + 3)
+        receivers = scene.receivers
+        brought = np.zeros((len(groups), len(receivers), 3), dtype=np.float32)
+        for light, radiance, half in zip(brought, found.radiance, found.error, strict=True):
+            light[found.rows] = radiance
+            self._interior.fill(light)
+            if settings.smooth:
+                error = np.zeros((len(receivers), 3, 1), dtype=np.float32)
+                error[found.rows, :, 0] = half
+                variance = variance_of_halves(error, receivers.neighbours)
+                guides = surface_guides(receivers.normals)
+                light[:] = smooth(light[:, :, None], variance, receivers.neighbours, guides).vectors[:, :, 0]
+        planned.clock.stop("paths to lamps")
+        return brought, found.rays
 
     def _spread(self, light: NDArray[np.float32], bounces: int) -> NDArray[np.float32]:
         """(V, channels, M) light, and what surfaces reflect of it onto each other."""

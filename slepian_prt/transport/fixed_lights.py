@@ -65,6 +65,7 @@ def bounced_light(
     direct: NDArray[np.float32],
     channels: int,
     bounces: int | None,
+    brought: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """(n, V, 3) light of n lamps that comes by way of other surfaces.
 
@@ -77,8 +78,13 @@ def bounced_light(
     channels : 1 (the mean of the albedo stands for all) or 3
     bounces : int or None
         None until the rest of each lamp's light is less than a thousandth.
+    brought : (n, V, 3), optional
+        What paths brought by way of mirrors, glass and the like, which is part of the result.
     """
     bounced = np.zeros(direct.shape, dtype=np.float32)
+    if brought is not None:
+        bounced += brought
+        direct = direct + brought
     if bounces is None:
         bounces = max((count_bounces(gather, albedo, light.max(axis=1)) for light in direct), default=0)
     for channel in range(3):

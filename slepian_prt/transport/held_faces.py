@@ -34,16 +34,24 @@ class HeldFaces:
 
     `slepian_prt.paths.tracer.PathTracer` ends paths on them.
 
+    Parameters
+    ----------
+    scene : Scene
+    geometry : Mitsuba scene, optional
+        That is traced, if not that of the scene.
+
     Attributes
     ----------
     materials : list of Mitsuba BSDFs
         Of the scene.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, geometry: Any = None) -> None:
         mi = scene.mi
         self._mi, self._scene = mi, scene
-        self.materials = [node for node in mi.traverse(scene.geometry).hierarchy if isinstance(node, mi.BSDF)]
+        self.materials = [
+            node for node in mi.traverse(geometry or scene.geometry).hierarchy if isinstance(node, mi.BSDF)
+        ]
         self._table = MaterialTable(mi, self.materials)
         effects = [path_effect(mi, material) for material in self.materials]
         numbers = [0 if effect is None else 1 + PATHS.index(effect) for effect in effects]

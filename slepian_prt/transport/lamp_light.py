@@ -142,18 +142,7 @@ class LampTracer:
 
     @cached_property
     def _geometry(self) -> Any:
-        """A Mitsuba scene of all shapes, those that shine as they were before they were cut into faces.
-
-        A sphere that shines inward would be behind its own chords.
-        """
-        scene = self.scene
-        shining = {i: shape for i, shape in enumerate(scene.loaded.shapes()) if shape.is_emitter()}
-        if not shining:
-            return scene.geometry
-        names = {shape_name(shape, i) for i, shape in shining.items()}
-        receiving = [shape for shape, part in zip(scene.shapes, scene.parts, strict=False) if part.name not in names]
-        occluders = [shape for shape in scene.occluders if not shape.is_emitter()]
-        return mitsuba_scene(replace(scene, shapes=(*receiving, *occluders, *shining.values())))
+        return shining_geometry(self.scene)
 
     def _toward(
         self, number: int, vertices: NDArray[np.int64], count: int, along: int, shadows: bool
@@ -172,7 +161,7 @@ class LampTracer:
             ray.maxt = ds.dist * (1.0 - _SHORTENED)
             lit &= ~self._geometry.ray_test(ray, lit)
             self.rays += dr.width(place)
-        part = dr.select(ds.delta, 1.0, _heuristic(count * chance * ds.pdf, along * cosine))
+        part = dr.select(ds.delta, 1.0, power_heuristic(count * chance * ds.pdf, along * cosine))
         value = mi.Color3f(mi.unpolarized_spectrum(weight)) * cosine * part / chance
         return _halves(mi, dr.select(lit, value, 0.0), vertices.size, count)
 
@@ -210,7 +199,7 @@ class LampTracer:
         valid &= group >= 0
         pdf = emitter.pdf_direction(it, mi.DirectionSample3f(geometry, hit, it), valid)
         pdf *= dr.gather(mi.Float, samples_of_it, number, valid)
-        part = _heuristic(count * cosine, pdf)
+        part = power_heuristic(count * cosine, pdf)
         value = dr.select(valid, mi.Color3f(mi.unpolarized_spectrum(emitter.eval(hit, valid))) * part, 0.0)
         dr.eval(value, group)
         found = [
@@ -254,6 +243,20 @@ class LampTracer:
         return mi.Int32(group_of), mi.Float(samples)
 
 
+def shining_geometry(scene: Scene) -> Any:
+    """A Mitsuba scene of all shapes, those that shine as they were before they were cut into faces.
+
+    A sphere that shines inward would be behind its own chords.
+    """
+    shining = {i: shape for i, shape in enumerate(scene.loaded.shapes()) if shape.is_emitter()}
+    if not shining:
+        return scene.geometry
+    names = {shape_name(shape, i) for i, shape in shining.items()}
+    receiving = [shape for shape, part in zip(scene.shapes, scene.parts, strict=False) if part.name not in names]
+    occluders = [shape for shape in scene.occluders if not shape.is_emitter()]
+    return mitsuba_scene(replace(scene, shapes=(*receiving, *occluders, *shining.values())))
+
+
 def unshadowed_means(
     scene: Scene, emitters: NDArray[np.int64], vertices: NDArray[np.int64], samples: int
 ) -> NDArray[np.float64]:
@@ -288,7 +291,7 @@ def _blocks(size: int, count: int) -> list[slice]:
     return [slice(begin, min(begin + step, size)) for begin in range(0, size, step)]
 
 
-def _heuristic(own: Any, other: Any) -> Any:
+def power_heuristic(own: Any, other: Any) -> Any:
     """What a sample counts for: the square of its density among those of both ways to find it."""
     import drjit as dr
 

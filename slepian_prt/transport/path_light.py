@@ -14,33 +14,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from slepian_prt.paths.media import medium_at
 from slepian_prt.paths.tracer import PathTracer
-from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.reflectance.path_effects import densest_glass
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
-from slepian_prt.sphere.rotation import rotation_to
 from slepian_prt.transport.estimator import overlapped
+from slepian_prt.transport.first_rays import FirstRays
 from slepian_prt.transport.held_faces import PATHS, Corners, HeldFaces
-from slepian_prt.transport.hemisphere import upload_frames, upload_origins
-
-_RAYS_PER_BLOCK = 1 << 19
 
 # Numbers in the harmonics of the directions that are added up at a time.
 _NUMBERS = 1 << 23
-
-# Additive recurrence in two dimensions (Roberts 2018), by the root of x³ = x + 1.
-_STEPS = tuple(int(step * 2**32) for step in (0.7548776662466927, 0.5698402909980532))
-
-# From 32 bits to [0, 1), so that rounding does not reach one.
-_UNIT = (1.0 - 2.0**-24) * 2.0**-32
 
 
 class Ends(NamedTuple):
@@ -99,89 +88,43 @@ class PathRays:
 
     def __init__(self, scene: Scene, samples: int, effects: Iterable[str], seed: int) -> None:
         mi = scene.mi
-        self._scene, self._samples, self._seed = scene, samples, seed
-        self._held = HeldFaces(scene)
+        self._samples, self._held = samples, HeldFaces(scene)
+        self._first = FirstRays(scene, scene.geometry, self._held, samples, effects, seed)
         self._tracer = PathTracer(mi, scene.geometry, self._held.materials, known=self._held)
         self.brightest = max((densest_glass(mi, material) for material in self._held.materials), default=1.0) ** 2
-        self._sampler = mi.load_dict({"type": "independent"})
-        self._wanted = mi.Bool([False, *(effect in set(effects) for effect in PATHS)])
-        self._follows_media = self._tracer.has_media and "media" in set(effects)
 
     def blocks(self, vertices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-        """The receivers in blocks whose rays fit in memory; neighbours in space together."""
-        order = vertices[np.argsort(morton(self._scene.traced_positions[vertices]), kind="stable")]
-        size = max(1, _RAYS_PER_BLOCK // self._samples)
-        return [order[begin : begin + size] for begin in range(0, order.size, size)]
+        """The receivers in blocks to trace."""
+        return self._first.blocks(vertices)
 
     def trace(self, vertices: NDArray[np.int64]) -> Ends:
-        """Follow the paths of a block of receivers; of those within media, all."""
+        """Follow the paths of a block of receivers."""
         import drjit as dr
 
-        lane: Any
-        mi = self._scene.mi
-        place, ray = self._first_rays(vertices)
-        hit = self._scene.geometry.ray_intersect_preliminary(ray)
-        effect = self._held.first_met(ray, hit)
-        medium: Any = None
-        within: Any = False
-        if self._follows_media:
-            medium = dr.gather(mi.MediumPtr, media_around(self._scene, vertices), place)
-            within = medium != mi.MediumPtr(None)
-            effect = dr.select(within, 1 + PATHS.index("media"), effect)
-        lane = dr.compress(dr.gather(mi.Bool, self._wanted, effect))
-        lanes, rays = np.array(lane, dtype=np.int64), vertices.size * self._samples
+        gone, rays = self._first.trace(vertices), vertices.size * self._samples
+        lanes, effects = gone.lanes, gone.effects
         if lanes.size == 0:
             return _nothing(vertices, self._samples, rays)
-        effect = np.array(effect)[lanes]
-        ray, hit = dr.gather(mi.Ray3f, ray, lane), dr.gather(mi.PreliminaryIntersection3f, hit, lane)
-        seed = np.random.SeedSequence([self._seed, 1, int(vertices[0])]).generate_state(1)[0]
-        self._sampler.seed(mi.UInt32(int(seed)), lanes.size)
-        if medium is not None:
-            medium, within = dr.gather(mi.MediumPtr, medium, lane), dr.gather(mi.Bool, within, lane)
-        ends = self._tracer.follow(self._sampler, ray, hit=hit, medium=medium, first_known=~mi.Bool(within))
+        sampler = self._first.sampler(vertices, lanes.size)
+        ends = self._tracer.follow(sampler, gone.ray, hit=gone.hit, medium=gone.medium, first_known=gone.first_known)
         dr.eval(ends.escaped, ends.held, ends.throughput, ends.ray, ends.hit, ends.points)
         out, on = np.flatnonzero(np.array(ends.escaped)), np.flatnonzero(np.array(ends.held))
         throughput = np.array(ends.throughput).T
-        further = np.bincount(effect, np.array(ends.points), minlength=1 + len(PATHS))[1:].astype(np.int64)
+        further = np.bincount(effects, np.array(ends.points), minlength=1 + len(PATHS))[1:].astype(np.int64)
         return Ends(
             vertices,
             self._samples,
             lanes[out],
             np.array(ends.ray.d).T[out].astype(np.float64),
             throughput[out],
-            effect[out],
+            effects[out],
             lanes[on],
             throughput[on],
-            effect[on],
+            effects[on],
             self._held.corners(ends.ray, ends.hit, on),
             further,
             rays + int(further.sum()),
         )
-
-    def _first_rays(self, vertices: NDArray[np.int64]) -> tuple[Any, Any]:
-        """Rays by the cosine about the normals, those of one receiver side by side, after the places of these."""
-        import drjit as dr
-
-        mi, scene, half = self._scene.mi, self._scene, self._samples // 2
-        lane = dr.arange(mi.UInt32, vertices.size * self._samples)
-        place = lane // dr.opaque(mi.UInt32, self._samples)
-        among = lane - place * self._samples
-        second = among >= half
-        among = dr.select(second, among - half, among)
-        # By the receiver and the half, whatever block it is in, the same shifts.
-        number = 2 * dr.gather(mi.UInt32, mi.UInt32(vertices), place) + dr.select(second, 1, 0)
-        key = int(np.random.SeedSequence([self._seed, 0]).generate_state(1)[0])
-        shifts = mi.sample_tea_32(number, dr.opaque(mi.UInt32, key))
-        u = [mi.Float(among * mi.UInt32(step) + shift) * _UNIT for step, shift in zip(_STEPS, shifts, strict=True)]
-        frames = rotation_to(scene.receivers.normals[vertices])
-        outward = upload_frames(mi, frames)(place, mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
-        return place, mi.Ray3f(upload_origins(mi, scene.ray_origins, vertices)(place, outward), outward)
-
-
-def media_around(scene: Scene, vertices: NDArray[np.int64]) -> Any:
-    """MediumPtr, what medium the rays of receivers start in; null for none."""
-    mi = scene.mi
-    return medium_at(mi, scene.geometry, mi.Point3f(scene.ray_origins.front[vertices].T.astype(np.float32)))
 
 
 def _nothing(vertices: NDArray[np.int64], samples: int, rays: int) -> Ends:

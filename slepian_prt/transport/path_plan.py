@@ -23,8 +23,9 @@ from slepian_prt.transport.effects import (
     part_of_light,
     wanted_effects,
 )
+from slepian_prt.transport.first_rays import media_around
 from slepian_prt.transport.held_faces import PATHS
-from slepian_prt.transport.path_light import PathRays, media_around
+from slepian_prt.transport.path_light import PathRays
 
 # Vertices and first directions of the pilot.
 _PILOT_VERTICES, _PILOT_SAMPLES = 256, 256

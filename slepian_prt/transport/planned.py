@@ -21,10 +21,10 @@ from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.effects import Effect, Plan
 from slepian_prt.transport.estimator import Estimator
+from slepian_prt.transport.first_rays import media_around
 from slepian_prt.transport.glossy import ViewTransfer
 from slepian_prt.transport.interreflection import gather_operator
 from slepian_prt.transport.lamps import Lamps, find_lamps
-from slepian_prt.transport.path_light import media_around
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.survey import Survey
 
