@@ -80,8 +80,8 @@ class Material:
 
         mi, si = self._mi, self._si
         albedo = mi.unpolarized_spectrum(self._bsdf.eval_diffuse_reflectance(si, whole))
-        for part in ("metallic", "spec_trans"):
-            albedo *= 1.0 - self._bsdf.eval_attribute_1(part, si, whole)
+        for part, taken in (("metallic", 1.0), ("spec_trans", 1.0), ("diff_trans", 0.5)):
+            albedo *= 1.0 - taken * self._bsdf.eval_attribute_1(part, si, whole)
         return dr.select(whole & dr.isfinite(dr.max(albedo)), dr.clip(albedo, 0.0, 1.0), 0.0)
 
     def held_radiance(self, sampler: Any) -> Any:
