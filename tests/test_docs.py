@@ -106,7 +106,7 @@ def run(command: str, monkeypatch: pytest.MonkeyPatch) -> str:
 
     program, *arguments = shlex.split(command)
     assert program == "slepian-prt", f"examples call slepian-prt, not {program}"
-    captured = arguments[1] == "still.prt"  # whose pictures have the size that they have
+    captured = arguments[1:2] == ["still.prt"]  # whose pictures have the size that they have
     if arguments[0] in ("relight", "compare") and "--width" not in arguments and not captured:
         arguments += ["--width", "100"]
     monkeypatch.setattr(sys, "argv", ["slepian-prt", *arguments])

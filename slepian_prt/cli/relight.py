@@ -104,5 +104,5 @@ def relight(
     write_relit(output, packed, series, wish, note, file)
     shone = ", ".join(Path(path).name for path in environment) or "the light of the scene"
     several = f", {len(series.names)} results" if lights.several else ""
-    what = "vertices" if packed.film is None else "pixels"
-    say(f"{output}: {len(packed.mesh.positions)} {what} under {shone}{several}")
+    what, told = ("vertices", "") if packed.film is None else ("pixels", f", noise {packed.noise(series.lighting):.2g}")
+    say(f"{output}: {len(packed.mesh.positions)} {what} under {shone}{several}{told}")

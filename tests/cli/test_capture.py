@@ -64,7 +64,7 @@ def test_one_render_then_any_light(folder, capsys):
     numbers = np.load(folder / "all.npz")
     assert numbers["radiance"].shape == (12, 20, 3)
     assert numbers["coverage"].shape == numbers["noise"].shape == (12, 20)
-    assert "240 pixels under sky.exr" in capsys.readouterr().out
+    assert "240 pixels under sky.exr, noise 0." in capsys.readouterr().out
     assert run("info", file, "--json") == 0
     content = json.loads(capsys.readouterr().out)
     assert content["film"] == "20 x 12 of front"
