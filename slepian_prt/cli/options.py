@@ -81,7 +81,8 @@ effects_option = click.option(
     default="auto",
     show_default=True,
     metavar="WHICH",
-    help="auto, direct, all, none, or some of shadows,interreflection,colour (each needs those before it).",
+    help="auto, direct, all, none, or some of shadows,interreflection,colour (each needs those before it) and, with "
+    "shadows, mirrors,gloss,glass,opacity,transmission,media.",
 )
 albedo_option = click.option(
     "--albedo",

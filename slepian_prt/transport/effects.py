@@ -58,6 +58,10 @@ class Estimate:
             return cls()
         return cls(share * float(values.mean()), share * _CONFIDENCE * float(values.std()) / math.sqrt(values.size))
 
+    def times(self, factor: float) -> Estimate:
+        """A multiple of it."""
+        return Estimate(factor * self.mean, factor * self.half_width)
+
 
 def part_of_light(most: Estimate, blocked: Estimate) -> Estimate:
     """What part of all light comes so, if ``most`` does at most, and the sky is ``blocked`` to a part."""

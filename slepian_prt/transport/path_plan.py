@@ -106,7 +106,9 @@ class PathPilot:
         return PathPlan(chosen, receivers, first_directions(samples))
 
 
-def decide(pilot: PathPilot, blocked: Estimate, effects: str, samples: int) -> tuple[list[Effect], PathPlan | None]:
+def decide(
+    pilot: PathPilot, blocked: Estimate, reflected: float, effects: str, samples: int
+) -> tuple[list[Effect], PathPlan | None]:
     """Rows about the effects of paths, and what to simulate of them.
 
     Parameters
@@ -114,6 +116,8 @@ def decide(pilot: PathPilot, blocked: Estimate, effects: str, samples: int) -> t
     pilot : PathPilot
     blocked : Estimate
         Part of the hemispheres that shows no sky.
+    reflected : float
+        Part of the light at receivers that others reflect, by which what paths bring is multiplied.
     effects : str
         As of `wanted_effects`.
     samples : int
@@ -126,7 +130,8 @@ def decide(pilot: PathPilot, blocked: Estimate, effects: str, samples: int) -> t
         return [Effect(name, NOT_SIMULATED, None, None, 0, reason) for name in names], None
     rows, chosen = [], []
     for effect in pilot.present:
-        bound, count = part_of_light(pilot.contribution(effect), blocked), pilot.before[effect].size
+        bound = part_of_light(pilot.contribution(effect).times(1.0 / max(1.0 - reflected, 0.1)), blocked)
+        count = pilot.before[effect].size
         key = "interreflection" if effect == DIFFUSE else effect
         verdict = OMITTED
         if count == 0:

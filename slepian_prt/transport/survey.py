@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,8 +136,11 @@ class _Decisions:
         shadows, shadowed = self._shadows()
         interreflection = self._interreflection()
         bounces = interreflection.verdict == SIMULATED
-        paths, path_plan = decide(self._survey.paths, self._pilot.blocked, self._effects, self._samples)
+        reflected = self._pilot.reflecting.mean if bounces else 0.0
+        paths, path_plan = decide(self._survey.paths, self._pilot.blocked, reflected, self._effects, self._samples)
         if path_plan is not None and path_plan.media:
+            more = (self._survey.possible_with_media.size - shadowed.size) * self._survey.nodes(self._samples)
+            paths = [replace(row, rays=row.rays + more) if row.name == "media" else row for row in paths]
             shadowed = self._survey.possible_with_media
         rows, channels = [shadows, interreflection, *paths], 1
         if self._view is not None:

@@ -193,15 +193,15 @@ def test_light_of_lamps_agrees_with_the_path_tracer(name, tmp_path):
     path = written(tmp_path, FLOOR + LAMP_SCENES[name] + LAMPS)
     with open_scene(path) as scene:
         lit = np.flatnonzero(scene.receivers.active & ~scene.is_hidden)
-        vertices = np.random.default_rng(1).choice(lit, 150, replace=False)
-        reference = np.stack([path_traced(scene, vertices, 512, seed) for seed in range(8)])
-    runs = [sp.precompute(path, 0, 512, effects="all", seed=seed) for seed in range(3)]
+        vertices = np.random.default_rng(1).choice(lit, 100, replace=False)
+        reference = np.stack([path_traced(scene, vertices, 256, seed) for seed in range(8)])
+    runs = [sp.precompute(path, 0, 256, effects="all", seed=seed) for seed in range(2)]
     ours = np.stack([(run.fixed.direct + run.fixed.bounced).sum(axis=0)[vertices] for run in runs])
     means = [values.mean(axis=0) for values in (ours, reference)]
     errors = [values.std(axis=0, ddof=1) / math.sqrt(len(values)) for values in (ours, reference)]
-    # Caustics have values that few paths find: their noise is that of neighbours, too.
-    noise = np.sqrt(np.mean(errors[0] ** 2) + np.mean(errors[1] ** 2) + errors[1] ** 2)
-    z = (means[0] - means[1]) / np.hypot(noise, 0.004 * means[1].mean())
-    assert abs(z.mean()) < 0.3
+    # Caustics are what few paths find, so that their noise is best known from all receivers together.
+    noise = math.sqrt(np.mean(errors[0] ** 2) + np.mean(errors[1] ** 2))
+    z = (means[0] - means[1]) / np.hypot(noise, errors[1])
     assert np.mean(np.abs(z) > 3.0) < 0.02
-    assert np.mean(means[0]) == pytest.approx(np.mean(means[1]), rel=0.01)
+    of_mean = math.sqrt(np.sum(errors[0] ** 2) + np.sum(errors[1] ** 2)) / errors[0].size
+    assert np.mean(means[0]) == pytest.approx(np.mean(means[1]), abs=4.0 * of_mean + 0.004 * np.mean(means[1]))
