@@ -45,6 +45,12 @@ def material_kind(mi: Any, bsdf: Any) -> int:
     return PLAIN if kinds <= _LAMBERTIAN and not is_textured(mi, bsdf) else LAMBERTIAN
 
 
+def lets_straight_through(mi: Any, bsdf: Any) -> bool:
+    """Whether light may go through a surface of the material unbent: ``hair`` says so, but does not."""
+    null = mi.BSDFFlags.Null
+    return any(part.class_name() != "Hair" and mi.has_flag(part.flags(), null) for part in all_bsdfs(mi, bsdf))
+
+
 class MaterialTable:
     """What of the materials of a scene is known by their numbers in Mitsuba's registry.
 

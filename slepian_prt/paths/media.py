@@ -205,7 +205,15 @@ class Media:
     # --- Past surfaces ---------------------------------------------------------------------------------------------
 
     def look_along(
-        self, scene: Any, sampler: Any, ray: Any, medium: Any, active: Any, *, stop_at_emitters: bool = False
+        self,
+        scene: Any,
+        sampler: Any,
+        ray: Any,
+        medium: Any,
+        active: Any,
+        *,
+        blocked: Any = False,
+        stop_at_emitters: bool = False,
     ) -> tuple[Any, Any, Any]:
         """Straight on through media and whatever surfaces let pass unbent, as null boundaries and masks.
 
@@ -216,6 +224,8 @@ class Media:
             As of `fly`.
         ray : Ray3f
             Up to its ``maxt``, or to the first surface that lets nothing pass.
+        blocked : Bool
+            Where no surface lets anything pass.
         stop_at_emitters : bool
             Whether surfaces that emit end the way.
 
@@ -230,19 +240,19 @@ class Media:
 
         mi = self._mi
         end = ray(ray.maxt)
-        bounded = dr.isfinite(ray.maxt)
+        bounded = ray.maxt < dr.largest(mi.Float)
 
         def pass_on(sampler: Any, on: Any, ray: Any, _hit: Any, medium: Any, passed: Any) -> tuple[Any, ...]:
             hit = scene.ray_intersect_preliminary(ray, coherent=False, active=on)
             met = on & hit.is_valid()
             si = hit.compute_surface_interaction(ray, mi.RayFlags.All, met)
-            passed = dr.select(
-                on, passed * self.transmittance(sampler, ray, dr.minimum(hit.t, ray.maxt), medium, on), passed
-            )
+            if self.present:
+                part = self.transmittance(sampler, ray, dr.minimum(hit.t, ray.maxt), medium, on)
+                passed = dr.select(on, passed * part, passed)
             if stop_at_emitters:
                 met &= hit.shape.emitter() == mi.EmitterPtr(None)
             null = mi.unpolarized_spectrum(si.bsdf().eval_null_transmission(si, met))
-            passed = dr.select(met, passed * null, passed)
+            passed = dr.select(met, passed * dr.select(blocked, 0.0, null), passed)
             on = met & (dr.max(passed) > 0.0)
             onward = dr.select(bounded, si.spawn_ray_to(end), si.spawn_ray(ray.d))
             medium = self.beyond(si, ray.d, medium, on)
@@ -261,6 +271,8 @@ class Media:
         """MediumPtr, what lies in a direction (Vector3f, world) of surfaces; ``medium`` where they part none."""
         import drjit as dr
 
+        if not self.present:
+            return medium
         parts = active & si.is_valid() & si.is_medium_transition()
         return dr.select(parts, si.target_medium(direction), medium)
 

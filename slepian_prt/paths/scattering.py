@@ -120,3 +120,15 @@ class Scatterer:
         glossy = self._mi.UInt32(int(self._mi.BSDFFlags.Glossy))
         scattered = Drawn(direction, phase_weight, pdf, self._mi.Float(1.0), glossy)
         return Drawn(*(dr.select(self._particle, new, old) for new, old in zip(scattered, drawn, strict=True)))
+
+    def goes_straight(self, drawn: Drawn, active: Any) -> Any:
+        """Bool, where directions are those from before, and light is seen through (`Media.look_along`).
+
+        Not through bumps on null lobes, of which Mitsuba's ``eval_null_transmission`` says nothing.
+        """
+        import drjit as dr
+
+        mi, si = self._mi, self._si
+        null = active & self._lobes.scatters & mi.has_flag(drawn.sampled_type, mi.BSDFFlags.Null)
+        seen = mi.unpolarized_spectrum(si.bsdf().eval_null_transmission(si, null))
+        return null & (dr.max(seen) > 0.0)

@@ -58,9 +58,8 @@ class Gathered(NamedTuple):
 class Gatherer:
     """Paths through a scene as Mitsuba's ``path`` follows them, with transfer files as the cache of their ends.
 
-    At each point L += β (a B + lamps), where a file holds B; β becomes β f cos/p of the lobes that are left. Where
-    there are participating media paths are those of ``volpath``: lamps are seen through null boundaries, and what
-    passes those is no step.
+    At each point L += β (a B + lamps), where a file holds B; β becomes β f cos/p of the lobes that are left. What goes
+    straight through a null lobe is no step, as of ``volpath``, and lamps are seen through it.
 
     Parameters
     ----------
@@ -69,6 +68,8 @@ class Gatherer:
     lobes : Lobes
     lamps : Lamps
     media : Media
+    through : bool
+        Whether light may go straight through surfaces of the scene.
     fixed_lights : float
         Factor of what lamps send to held surfaces.
     max_depth, rr_depth : int
@@ -83,12 +84,13 @@ class Gatherer:
         lamps: Lamps,
         media: Media,
         *,
+        through: bool,
         fixed_lights: float,
         max_depth: int,
         rr_depth: int,
     ) -> None:
         self._mi, self._cache, self._lobes, self._lamps, self._media = mi, cache, lobes, lamps, media
-        self._fixed_lights = fixed_lights
+        self._through, self._fixed_lights = through or media.present, fixed_lights
         self._max_depth, self._rr_depth = max_depth if max_depth >= 0 else _ENDLESS, rr_depth
 
     def adds_to(self, material: Material) -> Any:
@@ -204,8 +206,7 @@ class Gatherer:
         path.covered |= path.active & ~(point.active & null)
         largest = dr.max(dr.abs(path.β))
         path.active = path.active & point.active & (largest != 0.0)
-        # Past a null boundary lamps are seen from the point before it, where there are media.
-        scattered = ~null if self._media.present else mi.Bool(True)
+        scattered = ~point.goes_straight(drawn, path.active) if self._through else mi.Bool(True)
         path.depth = path.depth + dr.select(scattered, mi.UInt32(1), mi.UInt32(0))
         likely = dr.minimum(largest * dr.square(path.η), point.most_likely)
         roulette = path.depth >= self._rr_depth

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.windowing import window
-from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, material_kind
+from slepian_prt.paths.lobes import LAMBERTIAN, PLAIN, lets_straight_through, material_kind
 from slepian_prt.paths.media import Media, media_of
 from slepian_prt.relighting.mitsuba.bound_transfer import BoundTransfer, log_warning
 from slepian_prt.relighting.mitsuba.cache import RadianceCache
@@ -317,11 +317,12 @@ class SlepianIntegrator:
         self._lobes = Lobes(mi, materials, self._albedo, self._spectra)
         around = [] if medium is None else [medium]
         self._media = Media(mi, [*media_of(mi, scene), *around])
-        lamps = Lamps(mi, scene, self._media)
+        through = any(lets_straight_through(mi, material) for material in materials)
+        lamps = Lamps(mi, scene, self._media, through=through)
         self._gatherer = None
         if self._media.present or self._calls_for_gathering(scene, lamps):
             self._gatherer = Gatherer(
-                mi, self._cache, self._lobes, lamps, self._media, fixed_lights=self._fixed_lights,
+                mi, self._cache, self._lobes, lamps, self._media, through=through, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
         texts = [

@@ -42,6 +42,8 @@ class Lamps:
     scene : Mitsuba scene
     media : Media
         Of the scene.
+    through : bool
+        Whether light may go straight through surfaces of the scene.
 
     Attributes
     ----------
@@ -49,8 +51,8 @@ class Lamps:
         Of lamps.
     """
 
-    def __init__(self, mi: Any, scene: Any, media: Media) -> None:
-        self._mi, self._media = mi, media
+    def __init__(self, mi: Any, scene: Any, media: Media, *, through: bool) -> None:
+        self._mi, self._media, self._through = mi, media, through or media.present
         lamps = [emitter for emitter in scene.emitters() if not emitter.is_environment()]
         self.count, self._all = len(lamps), len(scene.emitters())
         distant = [emitter for emitter in scene.emitters() if emitter.is_environment()]
@@ -83,7 +85,7 @@ class Lamps:
         active = point.active & (self._all > 0)
         ds, arriving = self._toward(point.origin, sampler.next_1d(), sampler.next_2d(), self._all, active)
         medium = point.medium_toward(ds.d)
-        seen, passed = self._sees(scene, point.origin, ds.p, medium, sampler, active & (ds.pdf != 0.0))
+        seen, passed = self._sees(scene, point.origin, ds.p, ds.delta, medium, sampler, active & (ds.pdf != 0.0))
         ds.pdf = dr.select(seen, ds.pdf, 0.0)
         return ds, dr.select(seen, arriving * passed, mi.UnpolarizedSpectrum(0.0))
 
@@ -143,7 +145,7 @@ class Lamps:
         si, material = point.si, point.material
         *begin, choice = drawn
 
-        def look(number: Any, total: Any, choice: Any, place: Any, arriving: Any, chosen: Any) -> Any:
+        def look(number: Any, total: Any, choice: Any, place: Any, delta: Any, arriving: Any, chosen: Any) -> Any:
             steps = zip(begin, _STEPS, strict=True)
             which, first, second = (_fraction(value + mi.Float(number) * step) for value, step in steps)
             which = (mi.Float(ray) + which) / self._rays
@@ -156,17 +158,21 @@ class Lamps:
             part = weight / total
             taken = (weight > 0.0) & (choice <= part)
             choice = dr.select(taken, choice / part, dr.select(part < 1.0, (choice - part) / (1.0 - part), choice))
-            place, arriving = dr.select(taken, ds.p, place), dr.select(taken, light, arriving)
-            return number + 1, total, choice, place, arriving, dr.select(taken, weight, chosen)
+            place, delta = dr.select(taken, ds.p, place), dr.select(taken, ds.delta, delta)
+            arriving, chosen = dr.select(taken, light, arriving), dr.select(taken, weight, chosen)
+            return number + 1, total, choice, place, delta, arriving, chosen
 
         none = dr.zeros(mi.Float, dr.width(active))
-        state = (mi.UInt32(0), none, mi.Float(choice), mi.Point3f(si.p), mi.UnpolarizedSpectrum(none), mi.Float(none))
-        _, total, _, place, arriving, chosen = dr.while_loop(
+        state = (
+            mi.UInt32(0), none, mi.Float(choice), mi.Point3f(si.p), mi.Bool(False), mi.UnpolarizedSpectrum(none),
+            mi.Float(none),
+        )  # fmt: skip
+        _, total, _, place, delta, arriving, chosen = dr.while_loop(
             state, lambda number, *_: active & (number < count), look, label="slepian_prt: candidates"
         )
         direction = dr.normalize(place - si.p)
         medium = self._media.beyond(si, direction, point.medium, active)
-        seen, passed = self._sees(scene, si, place, medium, sampler, active & (chosen > 0.0))
+        seen, passed = self._sees(scene, si, place, delta, medium, sampler, active & (chosen > 0.0))
         reflected = material.held_from(si.to_local(direction), seen) * arriving * passed
         return dr.select(seen, reflected * (total / (count * chosen)), 0.0)
 
@@ -180,7 +186,7 @@ class Lamps:
         ray = si.spawn_ray(si.to_world(wo))
         active = active & (density > 0.0)
         passed: Any = 1.0
-        if self._media.present:
+        if self._through:
             medium = self._media.beyond(si, ray.d, point.medium, active)
             ray, hit, passed = self._media.look_along(scene, sampler, ray, medium, active, stop_at_emitters=True)
         else:
@@ -192,14 +198,20 @@ class Lamps:
         light = mi.unpolarized_spectrum(ds.emitter.eval(there, shines)) * self._share(density, of_lamps) * passed
         return dr.select(shines, material.held_from(wo, shines) * light / density, 0.0)
 
-    def _sees(self, scene: Any, origin: Any, place: Any, medium: Any, sampler: Any, active: Any) -> tuple[Any, Any]:
-        """Whether a place is seen from an Interaction3f, and what passes of what it sends there."""
+    def _sees(
+        self, scene: Any, origin: Any, place: Any, delta: Any, medium: Any, sampler: Any, active: Any
+    ) -> tuple[Any, Any]:
+        """Whether a place is seen from an Interaction3f, and what passes of what it sends there.
+
+        What emits from a point (``delta``) is hidden by all surfaces where there are no media, as of ``path``.
+        """
         import drjit as dr
 
         ray = origin.spawn_ray_to(place)
-        if not self._media.present:
+        if not self._through:
             return active & ~scene.ray_test(ray, active), 1.0
-        _, _, passed = self._media.look_along(scene, sampler, ray, medium, active)
+        blocked = not self._media.present and delta
+        _, _, passed = self._media.look_along(scene, sampler, ray, medium, active, blocked=blocked)
         return active & (dr.max(passed) > 0.0), passed
 
     def _toward(self, si: Any, which: Any, place: Any, count: int, active: Any) -> tuple[Any, Any]:
