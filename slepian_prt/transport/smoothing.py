@@ -4,7 +4,7 @@ Neighbours' vectors differ little, and their noise is independent. So vectors ar
 between neighbours to what changes over some rings of them (diffusion wavelets: Coifman & Maggioni, Appl. Comput.
 Harmon. Anal. 2006; in pictures Dammertz et al., HPG 2010). With P a mean over a receiver and its neighbours,
 
-    x = P^n x + Σ_k d_k,    d_k = (P^a - P^b) x,    (a, b) = (0, 1), (1, 3), (3, 7), (7, 11).
+    x = P^n x + Σ_k d_k,    d_k = (P^a - P^b) x,    (a, b) = (0, 1), (1, 3), (3, 7), (7, 15), (15, 19).
 
 How much of a band is noise is known, since the variance of x is. Each band is multiplied by Wiener's gain S / (S + N),
 per receiver and degree, with the energies of signal and noise of that degree in the rings around. What cannot be told
@@ -28,8 +28,8 @@ from slepian_prt.errors import UserError
 from slepian_prt.sphere.harmonics import num_coefficients
 
 # Each band: how many times as wide the guides are taken, and how often the mean is applied. First along what the guides
-# call one surface, then across (on tubes: first along them). Means over more rings gain nothing further.
-BANDS = ((1.0, 1), (1.0, 2), (1.0, 4), (4.0, 4))
+# call one surface, then across (on tubes: first along them). More rings gain little further.
+BANDS = ((1.0, 1), (1.0, 2), (1.0, 4), (1.0, 8), (4.0, 4))
 
 # Energies are added up over so many rings: fewer leave noise in the gains, more blur them across borders.
 _POOLED = 4
@@ -59,7 +59,7 @@ class Smoothed:
         Expected squared error of one coefficient of each degree: noise that stayed, and signal that went.
     removed : float
         Relative RMS of what was taken out.
-    gains : (L+1, 4) float64
+    gains : (L+1, 5) float64
         Mean gain of each degree in each of the `BANDS`: 1 is kept, 0 gone.
     """
 
