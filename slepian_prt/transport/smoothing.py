@@ -294,30 +294,30 @@ def _smooth_degree(
     count, channels, orders = vectors.shape
     result, lost = vectors.copy(), np.zeros(count, dtype=np.float32)
     gains = np.ones((len(BANDS) + 1, count), dtype=np.float32)
-    pairs = zip(filters.bands(vectors.reshape(count, -1)), filters.bands(variance), strict=True)
-    for k, ((band, _), (_, around)) in enumerate(pairs):
-        if k == len(BANDS):
-            break
+    bands = zip(range(len(BANDS)), filters.bands(vectors.reshape(count, -1)), filters.bands(variance), strict=False)
+    for k, (band, _), (_, around) in bands:
         energy = np.einsum("vk,vk->v", band, band)
         noise = filters.around(orders * filters.products[k, k] * around.sum(axis=1))
         gain = _wiener(np.maximum(filters.around(energy) - noise, 0.0), noise)
         # Once more, with the energy that passed: noise that is taken for signal here or there is not so twice.
         signal = filters.around(gain * gain * energy)
         gain = gains[k] = _wiener(signal, noise)
-        result -= ((1.0 - gain)[:, None] * band).reshape(vectors.shape)
+        band *= (1.0 - gain)[:, None]
+        result -= band.reshape(vectors.shape)
         lost += (1.0 - gain) * np.sqrt(signal)  # signals of bands side by side are alike
     spread = filters.around(variance)
     # Gains that differ from place to place would change what all receivers get between them, by a tenth of a percent.
-    change = (vectors - result).sum(axis=0, dtype=np.float64).astype(np.float32)
-    result += change * (spread / np.maximum(spread.sum(axis=0), np.finfo(np.float32).tiny))[:, :, None]
+    missing = (vectors - result).sum(axis=0, dtype=np.float64).astype(np.float32)
+    result += missing * (spread / np.maximum(spread.sum(axis=0), np.finfo(np.float32).tiny))[:, :, None]
     # Stein's estimate of the error of all receivers.
-    change = np.square(result - vectors, dtype=np.float64).sum(axis=(1, 2))
+    change = result - vectors
+    squares = np.einsum("vcm,vcm->v", change, change)
     white = orders * variance.sum(axis=1, dtype=np.float64)
     own = np.einsum("kv,kv->v", gains, filters.own)
-    error = float((change + (2.0 * own - 1.0) * white).sum())
+    error = float((squares + (2.0 * own - 1.0) * white).sum())
     if error >= white.sum():
         return vectors, variance, np.ones(len(BANDS))
-    passed = np.einsum("kv,klv,lv->v", gains, filters.products, gains, optimize=True)
+    passed = np.einsum("kv,klv,lv->v", gains, filters.products, gains)
     left = passed[:, None] * spread + (lost**2 / (channels * orders))[:, None]
     # Where the error is, is known from gains; how large it is from them, or from that estimate if it says more.
     left *= np.float32(np.clip(error / (orders * left.sum(dtype=np.float64)), 1.0, 2.0))
