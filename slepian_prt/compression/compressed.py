@@ -53,6 +53,8 @@ class CompressedTransfer(Summarised):
         What the pilot lets expect to be lost, in each degree; of coded coefficients, what rounding lost is in it.
     effects : tuple of Effect
     bounces, samples, seed, rays_traced : int
+    path_noise : float or None
+        Relative RMS noise of the vectors that were compressed, where paths were followed.
     seconds : dict of str to float
     source : str
     parameters : dict of str to str
@@ -65,8 +67,6 @@ class CompressedTransfer(Summarised):
         Whether this is transfer toward that camera.
     fixed : FixedLights or None
         What the scene's lamps send, where it has any.
-    path_noise : float or None
-        Relative RMS noise of the vectors that were compressed, where paths were followed.
     verified : dict of str to float
         Where a goal was set: relative RMS errors of relit radiance, measured on vertices held out, by light.
     verified_vertices : int
@@ -94,6 +94,7 @@ class CompressedTransfer(Summarised):
     samples: int
     seed: int
     rays_traced: int
+    path_noise: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
     parameters: Mapping[str, object] = field(default_factory=dict)
@@ -101,7 +102,6 @@ class CompressedTransfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     fixed: FixedLights | None = None
-    path_noise: float | None = None
     verified: dict[str, float] = field(default_factory=dict)
     verified_vertices: int = 0
     verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)

@@ -68,6 +68,8 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
         "verified_left_out": packed.verified_left_out,
         "written_by": f"slepian_prt {version('slepian_prt')}",
     }
+    if packed.path_noise is not None:
+        manifest["noise"] = packed.path_noise
     mesh: dict[str, NDArray] = {
         "mesh/positions": packed.mesh.positions,
         "mesh/normals": packed.mesh.normals.astype(np.float32),
@@ -75,8 +77,6 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
         "mesh/albedo": packed.mesh.albedo,
     }
     light: dict[str, NDArray] = {} if packed.lighting is None else {"environment/lighting": packed.lighting}
-    if packed.path_noise is not None:
-        manifest["noise"] = packed.path_noise
     if packed.fixed is not None:
         manifest["fixed"], lamps = pack_lamps(packed.fixed)
         light |= lamps
@@ -200,6 +200,7 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         samples=int(manifest["samples"]),
         seed=int(manifest["seed"]),
         rays_traced=int(manifest["rays_traced"]),
+        path_noise=manifest.get("noise"),
         seconds=dict(manifest["seconds"]),
         source=manifest["source"],
         parameters=dict(manifest.get("parameters", {})),
@@ -207,7 +208,6 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         view=None if manifest["view"] is None else View(**manifest["view"]),
         toward_view=bool(manifest["toward_view"]),
         fixed=unpack_lamps(manifest.get("fixed"), arrays, len(mesh.positions)),
-        path_noise=manifest.get("noise"),
         verified=dict(manifest.get("verified", {})),
         verified_vertices=int(manifest.get("verified_vertices", 0)),
         verified_left_out=dict(manifest.get("verified_left_out", {})),
