@@ -68,8 +68,6 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
         "verified_left_out": packed.verified_left_out,
         "written_by": f"slepian_prt {version('slepian_prt')}",
     }
-    if packed.path_noise is not None:
-        manifest["noise"] = packed.path_noise
     mesh: dict[str, NDArray] = {
         "mesh/positions": packed.mesh.positions,
         "mesh/normals": packed.mesh.normals.astype(np.float32),
@@ -80,6 +78,8 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
     if packed.fixed is not None:
         manifest["fixed"], lamps = pack_lamps(packed.fixed)
         light |= lamps
+    if packed.path_noise is not None:
+        manifest["noise"] = packed.path_noise
     container.write(path, manifest, {**mesh, **light, **_transfer_arrays(packed)})
 
 
