@@ -292,6 +292,8 @@ def _smooth_degree(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """One degree, (V, C, 2l+1), of the variance (V, C): smoothed, its expected squared error, and mean gains."""
     count, channels, orders = vectors.shape
+    if not variance.any():
+        return vectors, variance, np.ones(len(BANDS))
     result, lost = vectors.copy(), np.zeros(count, dtype=np.float32)
     gains = np.ones((len(BANDS) + 1, count), dtype=np.float32)
     bands = zip(range(len(BANDS)), filters.bands(vectors.reshape(count, -1)), filters.bands(variance), strict=False)
