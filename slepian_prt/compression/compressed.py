@@ -54,6 +54,8 @@ class CompressedTransfer(Summarised):
         What the pilot lets expect to be lost, in each degree; of coded coefficients, what rounding lost is in it.
     effects : tuple of Effect
     bounces, samples, seed, rays_traced : int
+    path_noise : float or None
+        Relative RMS noise of the vectors that were compressed, where paths were followed.
     seconds : dict of str to float
     source : str
     parameters : dict of str to str
@@ -66,8 +68,6 @@ class CompressedTransfer(Summarised):
         Whether this is transfer toward that camera.
     fixed : FixedLights or None
         What the scene's lamps send, where it has any.
-    path_noise : float or None
-        Relative RMS noise of the vectors that were compressed, where paths were followed.
     film : Film or None
         Of a camera whose pixels are the receivers.
     verified : dict of str to float
@@ -97,6 +97,7 @@ class CompressedTransfer(Summarised):
     samples: int
     seed: int
     rays_traced: int
+    path_noise: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
     parameters: Mapping[str, object] = field(default_factory=dict)
@@ -104,7 +105,6 @@ class CompressedTransfer(Summarised):
     view: View | None = None
     toward_view: bool = False
     fixed: FixedLights | None = None
-    path_noise: float | None = None
     film: Film | None = None
     verified: dict[str, float] = field(default_factory=dict)
     verified_vertices: int = 0

@@ -80,11 +80,11 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
             "mesh/albedo": packed.mesh.albedo,
         }
     light: dict[str, NDArray] = {} if packed.lighting is None else {"environment/lighting": packed.lighting}
-    if packed.path_noise is not None:
-        manifest["noise"] = packed.path_noise
     if packed.fixed is not None:
         manifest["fixed"], lamps = pack_lamps(packed.fixed)
         light |= lamps
+    if packed.path_noise is not None:
+        manifest["noise"] = packed.path_noise
     container.write(path, manifest, {**mesh, **light, **_transfer_arrays(packed)})
 
 
@@ -198,6 +198,7 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         samples=int(manifest["samples"]),
         seed=int(manifest["seed"]),
         rays_traced=int(manifest["rays_traced"]),
+        path_noise=manifest.get("noise"),
         seconds=dict(manifest["seconds"]),
         source=manifest["source"],
         parameters=dict(manifest.get("parameters", {})),
@@ -205,7 +206,6 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         view=None if manifest["view"] is None else View(**manifest["view"]),
         toward_view=bool(manifest["toward_view"]),
         fixed=unpack_lamps(manifest.get("fixed"), arrays, len(mesh.positions)),
-        path_noise=manifest.get("noise"),
         film=film,
         verified=dict(manifest.get("verified", {})),
         verified_vertices=int(manifest.get("verified_vertices", 0)),

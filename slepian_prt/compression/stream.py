@@ -216,6 +216,7 @@ def encode_transfer(
         samples=transfer.samples,
         seed=transfer.seed,
         rays_traced=transfer.rays_traced,
+        path_noise=transfer.noise,
         seconds={**transfer.seconds, "compress": time.perf_counter() - started},
         source=transfer.source,
         parameters=transfer.parameters,
@@ -223,7 +224,6 @@ def encode_transfer(
         view=transfer.view,
         toward_view=transfer.toward_view,
         fixed=transfer.fixed,
-        path_noise=transfer.noise,
         film=transfer.film,
     )
 

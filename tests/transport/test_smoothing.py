@@ -104,6 +104,12 @@ def test_vectors_without_variance_keep_their_bits():
     assert np.all(found.gains == 1.0)
 
 
+def test_no_receivers_are_no_mistake():
+    found = smooth(np.zeros((0, 3, 9)), np.zeros((0, 3, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    assert found.vectors.shape == (0, 3, 9)
+    assert found.removed == 0.0
+
+
 def test_receivers_without_neighbours_keep_their_bits():
     vectors, variance = noisy(np.zeros((20, 1, 4)), 1.0)
     found = smooth(vectors, variance, np.zeros((0, 2), dtype=np.int64))
