@@ -123,9 +123,10 @@ def test_a_process_that_is_killed_goes_on(folder):
     """As it happens to users: SIGKILL, then the same command; the result is that of an undisturbed one."""
     command = [sys.executable, "-m", "slepian_prt", "capture", "scene.xml", "--samples", "32", "--bandlimit", "2", "-o"]
     code = (
-        "import os, signal, sys; from slepian_prt.transport.capturing import sums; add = sums.PixelSums.add\n"
+        "import os, signal, sys; from slepian_prt.transport.capturing.pixel_means import PixelMeans\n"
+        "add = PixelMeans.add\n"
         "def kill(*a):\n    add(*a); os.kill(os.getpid(), signal.SIGKILL)\n"
-        "sums.PixelSums.add = kill; sys.argv = sys.argv[1:]; from slepian_prt.__main__ import main; main()"
+        "PixelMeans.add = kill; sys.argv = sys.argv[1:]; from slepian_prt.__main__ import main; main()"
     )
     run_in = {"cwd": folder, "capture_output": True, "text": True, "env": dict(os.environ)}
     killed = subprocess.run([sys.executable, "-c", code, *command[2:], "out.prt"], check=False, **run_in)

@@ -22,8 +22,8 @@ from slepian_prt.transport.capturing.denoising import smoothed
 from slepian_prt.transport.capturing.guides import look_at_surfaces
 from slepian_prt.transport.capturing.lamp_pictures import picture_lamps
 from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, collect, film_of, fingerprint
+from slepian_prt.transport.capturing.pixel_means import kept_means
 from slepian_prt.transport.capturing.settings import CaptureSettings
-from slepian_prt.transport.capturing.sums import kept_sums
 from slepian_prt.transport.planned import Clock
 from slepian_prt.transport.transfer import Transfer
 
@@ -115,9 +115,9 @@ def open_capture(
             own = distant_light(mi, loaded.emitters(), name)
         job = Job(mi, loaded, name, camera, CameraRays(mi, camera), settings, power)
         clock.stop("load")
-        with kept_sums(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as sums:
-            passes = add_passes(job, sums, advance)
-            pixels, samples = collect(job, sums), passes * settings.per_pass
+        with kept_means(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as held:
+            passes = add_passes(job, held, advance)
+            pixels, samples = collect(job, held), passes * settings.per_pass
             clock.stop("transport")
             lamps = lamps_of(mi, loaded, name)
             fixed = picture_lamps(mi, loaded, job.rays, lamps, settings.per_pass, passes, settings.seed)
