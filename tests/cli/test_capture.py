@@ -26,6 +26,7 @@ SCENE = """<scene version="3.0.0">
     <integer name="height" value="1"/><rfilter type="box"/></film></sensor>
   <shape type="sphere" id="ball"><point name="center" x="0" y="0.6" z="0"/><float name="radius" value="0.5"/>
     <bsdf type="dielectric"/></shape>
+  <emitter type="constant"/>
   <shape type="rectangle" id="floor"><transform name="to_world"><rotate x="1" angle="-90"/></transform></shape>
 </scene>"""
 

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import logging
 import math
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,6 +28,9 @@ from slepian_prt.transport.capturing.pixel_paths import LANES, PixelPaths
 from slepian_prt.transport.capturing.settings import CaptureSettings
 
 log = logging.getLogger(__name__)
+
+# What Mitsuba calls objects without an id: by their addresses.
+_UNNAMED = re.compile(r"object_\d+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +89,7 @@ def fingerprint(job: Job) -> str:
     digest.update(repr((*numbers, job.sensor.id(), str(job.loaded))).encode())
     parameters = job.mi.traverse(job.loaded)
     for name in parameters.keys():  # noqa: SIM118 (going through pairs, Mitsuba fails at what a hair BSDF leaves unset)
-        digest.update(name.encode())
+        digest.update(_UNNAMED.sub("", name).encode())
         with contextlib.suppress(TypeError):  # of which one is reading it
             value = parameters[name]
             # An array of a Mitsuba transform would hold its address.
