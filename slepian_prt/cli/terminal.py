@@ -51,7 +51,7 @@ def progress(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], None],
             nonlocal task
             if task is None:
                 task = bar.add_task(name, total=total)
-            bar.advance(task, done)
+            bar.update(task, advance=done, total=total)
 
         def report(what: str) -> None:
             if console.is_terminal:

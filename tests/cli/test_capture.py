@@ -26,6 +26,7 @@ SCENE = """<scene version="3.0.0">
     <integer name="height" value="1"/><rfilter type="box"/></film></sensor>
   <shape type="sphere" id="ball"><point name="center" x="0" y="0.6" z="0"/><float name="radius" value="0.5"/>
     <bsdf type="dielectric"/></shape>
+  <emitter type="constant"/>
   <shape type="rectangle" id="floor"><transform name="to_world"><rotate x="1" angle="-90"/></transform></shape>
 </scene>"""
 
@@ -123,9 +124,10 @@ def test_a_process_that_is_killed_goes_on(folder):
     """As it happens to users: SIGKILL, then the same command; the result is that of an undisturbed one."""
     command = [sys.executable, "-m", "slepian_prt", "capture", "scene.xml", "--samples", "32", "--bandlimit", "2", "-o"]
     code = (
-        "import os, signal, sys; from slepian_prt.transport.capturing import sums; add = sums.PixelSums.add\n"
+        "import os, signal, sys; from slepian_prt.transport.capturing.pixel_means import PixelMeans\n"
+        "add = PixelMeans.add\n"
         "def kill(*a):\n    add(*a); os.kill(os.getpid(), signal.SIGKILL)\n"
-        "sums.PixelSums.add = kill; sys.argv = sys.argv[1:]; from slepian_prt.__main__ import main; main()"
+        "PixelMeans.add = kill; sys.argv = sys.argv[1:]; from slepian_prt.__main__ import main; main()"
     )
     run_in = {"cwd": folder, "capture_output": True, "text": True, "env": dict(os.environ)}
     killed = subprocess.run([sys.executable, "-c", code, *command[2:], "out.prt"], check=False, **run_in)

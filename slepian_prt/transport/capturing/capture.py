@@ -18,12 +18,12 @@ from slepian_prt.scene.mitsuba.scenes import distant_light
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import view_of
 from slepian_prt.transport.capturing.camera import CameraRays, find_camera
-from slepian_prt.transport.capturing.denoising import smoothed
+from slepian_prt.transport.capturing.denoising import guide_table, smoothed
 from slepian_prt.transport.capturing.guides import look_at_surfaces
 from slepian_prt.transport.capturing.lamp_pictures import picture_lamps
 from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, collect, film_of, fingerprint
+from slepian_prt.transport.capturing.pixel_means import kept_means
 from slepian_prt.transport.capturing.settings import CaptureSettings
-from slepian_prt.transport.capturing.sums import kept_sums
 from slepian_prt.transport.planned import Clock
 from slepian_prt.transport.transfer import Transfer
 
@@ -115,19 +115,21 @@ def open_capture(
             own = distant_light(mi, loaded.emitters(), name)
         job = Job(mi, loaded, name, camera, CameraRays(mi, camera), settings, power)
         clock.stop("load")
-        with kept_sums(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as sums:
-            passes = add_passes(job, sums, advance)
-            pixels, samples = collect(job, sums), passes * settings.per_pass
+        with kept_means(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as held:
+            passes = add_passes(job, held, advance)
+            pixels, samples = collect(job, held), passes * settings.per_pass
             clock.stop("transport")
             lamps = lamps_of(mi, loaded, name)
-            fixed = picture_lamps(mi, loaded, job.rays, lamps, settings.per_pass, passes, settings.seed)
-            if fixed is not None:
+            pictures = picture_lamps(mi, loaded, job.rays, lamps, settings.per_pass, passes, settings.seed)
+            if pictures is not None:
                 clock.stop("fixed lights")
             guides = look_at_surfaces(mi, loaded, job.rays)
             mesh = film_mesh(camera.id(), job.rays.width, job.rays.height, axes_of(pixels.vectors, guides.normals))
             if settings.smooth:
                 report("smoothing")
-                pixels = smoothed(pixels, mesh.receivers.neighbours, guides, samples)
+                neighbours, table = mesh.receivers.neighbours, guide_table(guides, pixels.background)
+                pixels = smoothed(pixels, neighbours, table, samples)
+                pictures = None if pictures is None else pictures.smoothed(neighbours, table)
                 clock.stop("smooth")
             film = film_of(job, pixels)
             if not film.coverage.any():
@@ -149,6 +151,6 @@ def open_capture(
                 environment=own,
                 view=view_of(mi, camera),
                 toward_view=True,
-                fixed=fixed,
+                fixed=None if pictures is None else pictures.fixed_lights(),
                 film=film,
             )

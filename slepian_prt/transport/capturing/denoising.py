@@ -47,21 +47,21 @@ class Pixels:
     removed: float = 0.0
 
 
-def smoothed(pixels: Pixels, neighbours: NDArray[np.integer], guides: Guides, paths: int) -> Pixels:
+def smoothed(pixels: Pixels, neighbours: NDArray[np.integer], guides: NDArray, paths: int) -> Pixels:
     """The same with less noise.
 
     Parameters
     ----------
     pixels : Pixels
     neighbours : (E, 2)
-    guides : Guides
+    guides : (V, k)
+        As of `smooth`: those of `guide_table`.
     paths : int
         Of each pixel.
     """
     foreseen = variance_of_paths(pixels.moments, pixels.vectors, paths)
     variance = calibrated(foreseen, pixels.variance, neighbours)
-    coverage = 1.0 - pixels.background.mean(axis=1)
-    result = smooth(pixels.vectors, variance, neighbours, guide_table(guides, coverage))
+    result = smooth(pixels.vectors, variance, neighbours, guides)
     result.vectors[~pixels.vectors.any(axis=(1, 2))] = 0.0  # what shows nothing stays dark
     return Pixels(result.vectors, result.variance, pixels.background, pixels.moments, pixels.rays, result.removed)
 
@@ -72,18 +72,22 @@ def calibrated(foreseen: NDArray, measured: NDArray, neighbours: NDArray[np.inte
     Stratified paths vary less than independent ones, several times so. But a few passes tell the variance of a pixel
     with much noise of its own, and of light that hardly any path brings, not at all.
     """
-    mean, shape = mean_over_neighbours(neighbours, len(foreseen)), foreseen.shape
-    near, wide = (np.asarray(table, dtype=np.float32).reshape(len(foreseen), -1) for table in (foreseen, measured))
-    for _ in range(_NEAR):
-        near = mean @ near
-    around = near
-    for _ in range(_WIDE):
-        around, wide = mean @ around, mean @ wide
+    near = pooled(foreseen, neighbours, _NEAR)
+    around, wide = pooled(near, neighbours), pooled(measured, neighbours)
     ratio = np.divide(wide, around, out=np.ones_like(wide), where=around > 0.0)
-    return np.asarray(near * ratio, dtype=np.float32).reshape(shape)
+    return np.asarray(near * ratio, dtype=np.float32)
 
 
-def guide_table(guides: Guides, coverage: NDArray) -> NDArray[np.float64]:
+def pooled(values: NDArray, neighbours: NDArray[np.integer], rings: int = _WIDE) -> NDArray[np.float32]:
+    """(V, …) means of values over rings of pixels."""
+    mean = mean_over_neighbours(neighbours, len(values))
+    table = np.asarray(values, dtype=np.float32).reshape(len(values), -1)
+    for _ in range(rings):
+        table = mean @ table
+    return np.asarray(table, dtype=np.float32).reshape(values.shape)
+
+
+def guide_table(guides: Guides, background: NDArray) -> NDArray[np.float64]:
     """(V, k) guides of `smooth`: what a pixel shows, in units of a difference across which little is averaged."""
     shapes = np.unique(guides.shapes, return_inverse=True)[1].astype(np.float64)
     depth = np.log(np.where(guides.depth > 0.0, guides.depth, 1.0))
@@ -91,6 +95,6 @@ def guide_table(guides: Guides, coverage: NDArray) -> NDArray[np.float64]:
         guides.normals / _NORMALS,
         guides.albedo / _ALBEDO,
         depth / _DEPTH,
-        coverage / _COVERAGE,
+        background.mean(axis=1) / _COVERAGE,
         _APART * shapes,
     ])  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +13,53 @@ from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.lamps import Lamp
 from slepian_prt.scene.mitsuba.files import silent
 from slepian_prt.transport.capturing.camera import CameraRays
+from slepian_prt.transport.capturing.denoising import pooled
 from slepian_prt.transport.capturing.pixel_paths import LANES, pixels_of_lanes, stratified_sampler
+from slepian_prt.transport.smoothing import smooth
 
 # What emitters call their brightness: factors, colours and texels.
 _BRIGHTNESS = ("scale", "sun_scale", "sky_scale", "radiance", "intensity", "irradiance")
 
 
+class LampPictures(NamedTuple):
+    """What the pixels of a camera show of n lamps, bounces and all.
+
+    Attributes
+    ----------
+    lamps : list of Lamp
+    radiance : (n, V, 3) float32
+    variance : (n, V, 3) float32
+        Of that, as passes tell it.
+    """
+
+    lamps: list[Lamp]
+    radiance: NDArray[np.float32]
+    variance: NDArray[np.float32]
+
+    def smoothed(self, neighbours: NDArray[np.integer], guides: NDArray) -> LampPictures:
+        """The same with less noise; ``guides`` as of `smooth`."""
+        smoothed = [
+            smooth(picture[:, :, None], pooled(variance[:, :, None], neighbours), neighbours, guides).vectors[:, :, 0]
+            for picture, variance in zip(self.radiance, self.variance, strict=True)
+        ]
+        return self._replace(radiance=np.stack(smoothed))
+
+    def fixed_lights(self) -> FixedLights:
+        """As transfer holds them: all of the light as direct."""
+        return FixedLights(
+            tuple(lamp.name for lamp in self.lamps),
+            tuple(lamp.kind for lamp in self.lamps),
+            np.stack([lamp.emitted for lamp in self.lamps]),
+            self.radiance,
+            np.zeros_like(self.radiance),
+            np.stack([lamp.direction for lamp in self.lamps]),
+        )
+
+
 def picture_lamps(
     mi: Any, loaded: Any, rays: CameraRays, lamps: list[Lamp], samples: int, passes: int, seed: int
-) -> FixedLights | None:
-    """What the pixels of a camera show of each lamp, bounces and all; None without lamps.
+) -> LampPictures | None:
+    """Pictures under each lamp alone; None without lamps.
 
     Parameters
     ----------
@@ -32,28 +69,24 @@ def picture_lamps(
     rays : CameraRays
     lamps : list of Lamp
     samples, passes : int
-        Of each pixel under each lamp, in each pass.
+        Of each pixel under each lamp, in each pass; two passes or more.
     seed : int
     """
     if not lamps:
         return None
-    pictures = np.zeros((len(lamps), rays.width * rays.height, 3), dtype=np.float32)
+    sums, squares = (np.zeros((len(lamps), rays.width * rays.height, 3)) for _ in range(2))
     has_media = any(shape.is_medium_transition() for shape in loaded.shapes())
     integrator = mi.load_dict({"type": "volpath" if has_media else "path", "max_depth": -1})
     for number, lamp in enumerate(lamps):
         with silent(mi), _alone(mi, loaded, lamp.place):
             for one in range(passes):
                 seeds = np.random.SeedSequence([seed, 1 + number, one])
-                pictures[number] += _picture(mi, loaded, integrator, rays, samples, int(seeds.generate_state(1)[0]))
-    pictures /= np.float32(passes)
-    return FixedLights(
-        tuple(lamp.name for lamp in lamps),
-        tuple(lamp.kind for lamp in lamps),
-        np.stack([lamp.emitted for lamp in lamps]),
-        pictures,
-        np.zeros_like(pictures),
-        np.stack([lamp.direction for lamp in lamps]),
-    )
+                picture = _picture(mi, loaded, integrator, rays, samples, int(seeds.generate_state(1)[0]))
+                sums[number] += picture
+                squares[number] += np.square(picture, dtype=np.float64)
+    means = sums / passes
+    variance = np.maximum(squares / passes - means**2, 0.0) / max(passes - 1, 1)
+    return LampPictures(lamps, means.astype(np.float32), variance.astype(np.float32))
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import logging
 import math
-import tempfile
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,11 +23,14 @@ from slepian_prt.scene.film import Film, stored_axes
 from slepian_prt.sphere.harmonics import degrees
 from slepian_prt.transport.capturing.camera import CameraRays
 from slepian_prt.transport.capturing.denoising import Pixels
+from slepian_prt.transport.capturing.pixel_means import PixelMeans
 from slepian_prt.transport.capturing.pixel_paths import LANES, PixelPaths
 from slepian_prt.transport.capturing.settings import CaptureSettings
-from slepian_prt.transport.capturing.sums import PixelSums
 
 log = logging.getLogger(__name__)
+
+# What Mitsuba calls objects without an id: by their addresses.
+_UNNAMED = re.compile(r"object_\d+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +83,13 @@ class Job:
 
 
 def fingerprint(job: Job) -> str:
-    """Of everything that the sums of passes depend on: all parameters of the scene, its camera and its numbers."""
+    """Of everything that the means of passes depend on: all parameters of the scene, its camera and its numbers."""
     digest, settings = hashlib.sha256(), job.settings
     numbers = (version("slepian_prt"), job.mi.variant(), settings.bandlimit, settings.per_pass, settings.seed)
     digest.update(repr((*numbers, job.sensor.id(), str(job.loaded))).encode())
     parameters = job.mi.traverse(job.loaded)
     for name in parameters.keys():  # noqa: SIM118 (going through pairs, Mitsuba fails at what a hair BSDF leaves unset)
-        digest.update(name.encode())
+        digest.update(_UNNAMED.sub("", name).encode())
         with contextlib.suppress(TypeError):  # of which one is reading it
             value = parameters[name]
             # An array of a Mitsuba transform would hold its address.
@@ -94,44 +97,44 @@ def fingerprint(job: Job) -> str:
     return digest.hexdigest()[:32]
 
 
-def add_passes(job: Job, sums: PixelSums, advance: Callable[[int, int], None]) -> int:
+def add_passes(job: Job, held: PixelMeans, advance: Callable[[int, int], None]) -> int:
     """Trace until what is asked for is there; the number of passes, which all blocks have then."""
     settings, started = job.settings, time.perf_counter()
-    kept = sum(sums.passes(block) for block in range(sums.blocks))
+    kept = sum(held.passes(block) for block in range(held.blocks))
     if kept:
-        log.info("%d of %d blocks of pixels were finished before and are kept", kept, sums.blocks * settings.passes)
+        log.info("%d of %d blocks of pixels were finished before and are kept", kept, held.blocks * settings.passes)
     done, wanted, told = 0, settings.passes, 0
     while done < wanted:
-        for block in range(sums.blocks):
-            pixels = sums.pixels(block)
-            if sums.passes(block) <= done:
-                sums.add(block, job.paths.trace(pixels, done))
+        for block in range(held.blocks):
+            pixels = held.pixels(block)
+            if held.passes(block) <= done:
+                held.add(block, job.paths.trace(pixels, done))
             total = wanted * job.pixels
             advance(len(pixels), max(total, told))
             told = max(total, told)
         done += 1
         if settings.is_open and done >= settings.passes:
-            wanted = _wanted_passes(job, sums, done, time.perf_counter() - started)
+            wanted = _wanted_passes(job, held, done, time.perf_counter() - started)
     return done
 
 
-def _wanted_passes(job: Job, sums: PixelSums, done: int, seconds: float) -> int:
+def _wanted_passes(job: Job, held: PixelMeans, done: int, seconds: float) -> int:
     """How many passes the goals want, as the noise and the time of those that are done tell."""
     settings, wanted = job.settings, [job.settings.most_passes]
     if settings.max_error is not None:
-        noise = _relative_noise(job, sums)
+        noise = _relative_noise(job, held)
         wanted.append(done if noise <= settings.max_error else math.ceil(done * (noise / settings.max_error) ** 2))
     if settings.max_seconds is not None:
         wanted.append(max(done, int(settings.max_seconds * done / max(seconds, 1e-9))))
     return min(wanted)
 
 
-def _relative_noise(job: Job, sums: PixelSums) -> float:
+def _relative_noise(job: Job, held: PixelMeans) -> float:
     """Relative RMS noise of the picture, averaged over the rotations of the light."""
     noise, signal = 0.0, 0.0
     counts = np.bincount(degrees(job.settings.bandlimit))
-    for block in range(sums.blocks):
-        means, variance = sums.means(block)
+    for block in range(held.blocks):
+        means, variance = held.means(block)
         noise += float(variance.sum(axis=(0, 1), dtype=np.float64) @ (counts * job.light))
         signal += float(
             (means.vectors.astype(np.float64) ** 2).sum(axis=(0, 1)) @ job.light[degrees(job.settings.bandlimit)]
@@ -140,20 +143,17 @@ def _relative_noise(job: Job, sums: PixelSums) -> float:
     return math.sqrt(noise / max(signal - noise, 1e-300)) if signal > 0.0 else 0.0
 
 
-def collect(job: Job, sums: PixelSums) -> Pixels:
+def collect(job: Job, held: PixelMeans) -> Pixels:
     """All pixels, their vectors on disk."""
-    bands = job.settings.bandlimit + 1
-    with tempfile.TemporaryFile(prefix="slepian_prt-") as file:  # the map of it outlives it
-        vectors = np.memmap(file, np.float32, "w+", shape=(job.pixels, 3, bands**2))
-    variance = np.empty((job.pixels, 3, bands), dtype=np.float32)
+    variance = np.empty((job.pixels, 3, job.settings.bandlimit + 1), dtype=np.float32)
     background, moments = (np.empty((job.pixels, 3), dtype=np.float32) for _ in range(2))
     traced = 0.0
-    for block in range(sums.blocks):
-        pixels = sums.pixels(block)
-        means, variance[pixels] = sums.means(block)
-        vectors[pixels], background[pixels], moments[pixels] = means.vectors, means.background, means.moments
-        traced += float(means.rays.sum(dtype=np.float64))
-    return Pixels(vectors, variance, background, moments, round(traced))
+    for block in range(held.blocks):
+        pixels = held.pixels(block)
+        means, variance[pixels] = held.means(block)
+        background[pixels], moments[pixels] = means.background, means.moments
+        traced += held.passes(block) * float(means.rays.sum(dtype=np.float64))
+    return Pixels(held.vectors(), variance, background, moments, round(traced))
 
 
 def film_of(job: Job, pixels: Pixels) -> Film:

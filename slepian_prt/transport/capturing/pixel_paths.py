@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slepian_prt.paths.harmonics import sum_paths
 from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.transport.capturing.camera import CameraRays
-from slepian_prt.transport.capturing.sums import BlockSums
+from slepian_prt.transport.capturing.pixel_means import BlockMeans
 
 # Paths that are followed at a time.
 LANES = 1 << 19
@@ -55,7 +55,7 @@ class PixelPaths:
         self._mi, self._tracer, self._rays = mi, tracer, rays
         self._bandlimit, self._per_pixel, self._seed = bandlimit, per_pixel, seed
 
-    def trace(self, pixels: NDArray[np.int64], number: int) -> BlockSums:
+    def trace(self, pixels: NDArray[np.int64], number: int) -> BlockMeans:
         """Pass ``number`` of some pixels, which are consecutive."""
         import drjit as dr
 
@@ -73,4 +73,4 @@ class PixelPaths:
         background = np.stack([np.array(dr.block_sum(one, count)) for one in behind], axis=1)
         rays = np.array(dr.block_sum(segments, count))
         sums = sum_paths(mi, self._bandlimit, replace(ends, throughput=contribution), count)
-        return BlockSums(sums.vectors, background, sums.squares * np.float32(count), rays)
+        return BlockMeans(sums.vectors, background, sums.squares * np.float32(count), rays)

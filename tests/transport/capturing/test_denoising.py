@@ -60,7 +60,8 @@ def test_what_all_pixels_see_is_told_from_noise(rng):
     dark = np.arange(count) < WIDTH
     pixels.vectors[dark] = 0.0
     shapes = np.where(dark, 0, 1).astype(np.uint32)
-    result = smoothed(pixels, mesh.receivers.neighbours, plain_guides(count, shapes), PATHS)
+    guides = guide_table(plain_guides(count, shapes), pixels.background)
+    result = smoothed(pixels, mesh.receivers.neighbours, guides, PATHS)
     before, after = (np.square(vectors[~dark, :, 1:]).mean() for vectors in (pixels.vectors, result.vectors))
     assert after < 0.1 * before
     assert 0.0 < result.removed < 1.0
@@ -72,7 +73,7 @@ def test_what_all_pixels_see_is_told_from_noise(rng):
 def test_guides_tell_surfaces_apart():
     guides = plain_guides(4, np.array([7, 7, 9, 9], np.uint32))
     guides.normals[1] = [0.0, 0.6, 0.8]
-    table = guide_table(guides, np.array([1.0, 1.0, 1.0, 0.0]))
+    table = guide_table(guides, np.array([0.0, 0.0, 0.0, 1.0])[:, None])
     apart = np.square(table[:, None] - table[None]).sum(axis=2) / 2.0  # what weights fall with, exponentially
     assert apart[0, 0] == 0.0
     assert apart[0, 1] > 5.0  # 37 degrees
@@ -97,3 +98,13 @@ def test_smoothed_captures_are_nearer_to_the_truth():
         energy = np.array([np.square(truth[:, :, l * l : (l + 1) ** 2]).sum() for l in range(5)]) / len(truth)
         told = np.sqrt(power @ made.film.noise_power / (power @ energy))
         assert told == pytest.approx(errors[1], rel=0.5)
+
+
+@pytest.mark.slow
+def test_pictures_of_lamps_are_smoothed_too():
+    mi = llvm_mitsuba()
+    lamp = {"type": "point", "position": [0.5, 1.5, 1.0], "intensity": 1.5}
+    scene = mi.load_dict(open_box(mi, eye=camera(mi, film_of=film(48)), lamp=lamp))
+    truth = capture(scene, samples=2048, bandlimit=0, seed=9, smooth=False).fixed.direct[0]
+    rough, fine = (capture(scene, samples=16, bandlimit=0, seed=1, smooth=smooth).fixed.direct[0] for smooth in (0, 1))
+    assert np.linalg.norm(fine - truth) < 0.8 * np.linalg.norm(rough - truth)

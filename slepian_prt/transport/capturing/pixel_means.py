@@ -1,4 +1,4 @@
-"""Sums over the paths of all pixels, on disk: passes add to them block by block, and work that is killed goes on."""
+"""Means over the paths of all pixels, on disk: passes add to them block by block, and work that is killed goes on."""
 
 from __future__ import annotations
 
@@ -6,25 +6,26 @@ import contextlib
 import logging
 import math
 import mmap
+import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import locked_cache_file
-from slepian_prt.sphere.harmonics import degrees, num_coefficients
+from slepian_prt.sphere.harmonics import num_coefficients
 
 log = logging.getLogger(__name__)
 
 SUFFIX = ".capture"
 
 
-class BlockSums(NamedTuple):
-    """What the paths of one pass bring to n pixels, divided by their number.
+class BlockMeans(NamedTuple):
+    """What paths bring to n pixels, divided by their number.
 
     Attributes
     ----------
@@ -34,7 +35,7 @@ class BlockSums(NamedTuple):
     moments : (n, 3) float32
         Mean square of the throughput of paths.
     rays : (n,) float32
-        Segments traced for each pixel.
+        Segments traced for each pixel in a pass.
     """
 
     vectors: NDArray[np.float32]
@@ -43,8 +44,8 @@ class BlockSums(NamedTuple):
     rays: NDArray[np.float32]
 
 
-class PixelSums:
-    """Sums over passes: of the vectors, of their squares in each degree, of the background.
+class PixelMeans:
+    """Means over passes: of the vectors, of their squares in each degree, of the background.
 
     Two copies take turns: a block is written to the one that its last finished pass is not in, and only then counted,
     so that what is there when a process is killed is always whole.
@@ -60,21 +61,23 @@ class PixelSums:
         self.bandlimit, self._pixels, self._per_block = bandlimit, pixels, per_block
         self.blocks = -(-pixels // per_block)
         size, bands = num_coefficients(bandlimit), bandlimit + 1
-        self._degrees = (degrees(bandlimit)[:, None] == np.arange(bands)).astype(np.float32)
         shapes = ((self.blocks,), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 7))
         begins = np.concatenate([[0], np.cumsum([_padded(4 * math.prod(shape)) for shape in shapes])])
         try:
             file.truncate(int(begins[-1]))
+            if hasattr(os, "posix_fallocate"):  # a disk that is full later on would end the process
+                os.posix_fallocate(file.fileno(), 0, int(begins[-1]))
         except OSError as error:
             raise UserError(
                 f"{file.name}: cannot be written ({error.strerror or error}); free some space, or set "
                 "SLEPIAN_PRT_CACHE to a folder on another disk"
             ) from None
         kinds = (np.uint32, np.float32, np.float32, np.float32)
-        self._done, self._vectors, self._squares, self._others = (
+        tables: list[NDArray[Any]] = [
             np.memmap(file, kind, "r+", int(begin), shape)
             for kind, begin, shape in zip(kinds, begins, shapes, strict=False)
-        )
+        ]
+        self._done, self._vectors, self._squares, self._others = tables
 
     def passes(self, block: int) -> int:
         """How many passes a block has."""
@@ -85,22 +88,22 @@ class PixelSums:
         rows = self._rows(block)
         return np.arange(rows.start, rows.stop)
 
-    def add(self, block: int, means: BlockSums) -> None:
-        """Add one more pass to a block."""
+    def add(self, block: int, means: BlockMeans) -> None:
+        """Let one more pass count for a block; the arrays of ``means`` are used up."""
         done, rows = self.passes(block), self._rows(block)
         others = np.concatenate([means.background, means.moments, means.rays[:, None]], axis=1)
-        for table, new in (
-            (self._vectors, means.vectors),
-            (self._squares, self._by_degree(means.vectors)),
-            (self._others, others),
-        ):
+        squares = self._by_degree(means.vectors)
+        for table, new in ((self._vectors, means.vectors), (self._squares, squares), (self._others, others)):
             if done:
-                np.add(table[(done - 1) % 2, rows], new, out=table[done % 2, rows])
+                before = table[(done - 1) % 2, rows]
+                new -= before
+                new *= np.float32(1.0 / (done + 1))
+                np.add(before, new, out=table[done % 2, rows])
             else:
                 table[0, rows] = new
         self._done[block] = done + 1
 
-    def means(self, block: int) -> tuple[BlockSums, NDArray[np.float32]]:
+    def means(self, block: int) -> tuple[BlockMeans, NDArray[np.float32]]:
         """Means over all passes of a block, and the variance of a coefficient of each degree (n, 3, L+1).
 
         The variance is that of the mean of P passes, unbiased, from how much they differ; zero of one pass, which does
@@ -108,22 +111,23 @@ class PixelSums:
         """
         done, rows = self.passes(block), self._rows(block)
         vectors, squares, others = (
-            np.asarray(table[(done - 1) % 2, rows] * np.float32(1.0 / done))
-            for table in (self._vectors, self._squares, self._others)
+            table[(done - 1) % 2, rows] for table in (self._vectors, self._squares, self._others)
         )
         spread = np.maximum(squares - self._by_degree(vectors), 0.0) if done > 1 else np.zeros_like(squares)
         counts = 2.0 * np.arange(self.bandlimit + 1) + 1.0
         variance = (spread / (max(done - 1, 1) * counts)).astype(np.float32)
-        rays = np.asarray(others[:, 6] * np.float32(done))
-        return BlockSums(vectors, np.asarray(others[:, :3]), np.asarray(others[:, 3:6]), rays), variance
+        return BlockMeans(vectors, others[:, :3], others[:, 3:6], others[:, 6]), variance
+
+    def vectors(self) -> NDArray[np.float32]:
+        """(V, 3, (L+1)²) means of all pixels, which have as many passes each, where they are on disk."""
+        return np.asarray(self._vectors[(self.passes(0) - 1) % 2])
 
     def _rows(self, block: int) -> slice:
         return slice(block * self._per_block, min((block + 1) * self._per_block, self._pixels))
 
     def _by_degree(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(n, 3, L+1) sums of squares over the orders of each degree; a product, which is faster than `reduceat`."""
-        flat = np.square(vectors).reshape(-1, vectors.shape[2]) @ self._degrees
-        return np.asarray(flat.reshape(-1, 3, self.bandlimit + 1))
+        """(n, 3, L+1) sums of squares over the orders of each degree."""
+        return np.asarray(np.add.reduceat(np.square(vectors), np.arange(self.bandlimit + 1) ** 2, axis=2))
 
 
 def _padded(size: int) -> int:
@@ -132,8 +136,8 @@ def _padded(size: int) -> int:
 
 
 @contextlib.contextmanager
-def kept_sums(fingerprint: str, pixels: int, per_block: int, bandlimit: int) -> Iterator[PixelSums]:
-    """Sums in the cache folder, gone when the with-block ends well, and there for the same capture when it does not.
+def kept_means(fingerprint: str, pixels: int, per_block: int, bandlimit: int) -> Iterator[PixelMeans]:
+    """Means in the cache folder, gone when the with-block ends well, and there for the same capture when it does not.
 
     Without a folder that can be written, or while another process captures the same, they are in a temporary file.
     """
@@ -141,11 +145,11 @@ def kept_sums(fingerprint: str, pixels: int, per_block: int, bandlimit: int) -> 
     if file is None:
         log.info("no folder to keep finished work in, or another process does the same; if stopped, it starts again")
         with tempfile.TemporaryFile(prefix="slepian_prt-") as temporary:
-            yield PixelSums(temporary, pixels, per_block, bandlimit)
+            yield PixelMeans(temporary, pixels, per_block, bandlimit)
         return
     with file:
         path = Path(file.name)
         with path.open("r+b") as both:  # what is opened to append cannot be mapped for writing
-            yield PixelSums(both, pixels, per_block, bandlimit)
+            yield PixelMeans(both, pixels, per_block, bandlimit)
         with contextlib.suppress(OSError):
             path.unlink()
