@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.transport.fixed_lights import bounced_light
+from slepian_prt.transport.glossy import merge_equal_channels
 from slepian_prt.transport.interior import InteriorVertices
 from slepian_prt.transport.interreflection import (
     GATHER_SHARE,
@@ -27,12 +28,17 @@ from slepian_prt.transport.interreflection import (
 )
 from slepian_prt.transport.lamp_paths import trace_lamp_paths
 from slepian_prt.transport.path_light import PathLight, trace_paths
+from slepian_prt.transport.path_plan import first_directions
 from slepian_prt.transport.planned import PlannedScene
 from slepian_prt.transport.smoothing import relative_noise, smooth, surface_guides, variance_of_halves
+from slepian_prt.transport.view_paths import trace_view_paths
 
 log = logging.getLogger(__name__)
 
 _WHITE = math.sqrt(4.0 * math.pi)
+
+# Bounces toward a camera, where there is no limit to them.
+_MANY = 128
 
 # So many times the light that comes in is worth a remark, at the brightest receivers but for these that noise makes so.
 _TOO_BRIGHT, _NEARLY_ALL = 2.0, 0.99
@@ -115,6 +121,28 @@ def exchange_light(
         )  # fmt: skip
         planned.clock.stop("paths")
     return _Solver(planned, gather, paths, blocked, interior).solve(vectors, fixed)
+
+
+def add_indirect(planned: PlannedScene, vectors: NDArray[np.float32], report: Callable[[int], None]) -> Exchanged:
+    """Transfer toward a camera with what comes by way of other surfaces, whatever these are made of."""
+    scene, settings, view = planned.scene, planned.settings, planned.plan.view
+    assert view is not None
+    bounces = _MANY if settings.bounces is None else settings.bounces
+    samples = first_directions(settings.samples)
+    paths = trace_view_paths(scene, view, samples, settings.bandlimit, bounces, settings.seed + 1, report)
+    planned.clock.stop("paths")
+    if vectors.shape[1] == 1:
+        vectors = np.repeat(vectors, 3, axis=1)
+    brought, error = np.zeros_like(vectors), np.zeros_like(vectors)
+    brought[paths.rows], error[paths.rows] = paths.escaped, paths.escaped_error
+    neighbours = scene.receivers.neighbours
+    variance = variance_of_halves(error, neighbours)
+    if settings.smooth:
+        smoothed = smooth(brought, variance, neighbours, surface_guides(scene.receivers.normals))
+        brought[paths.rows], variance = smoothed.vectors[paths.rows], smoothed.variance
+        planned.clock.stop("smoothing")
+    vectors = vectors + brought
+    return Exchanged(merge_equal_channels(vectors), None, bounces, paths.rays, relative_noise(variance, vectors))
 
 
 class _Solver:
