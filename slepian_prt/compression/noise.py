@@ -34,8 +34,8 @@ def coded_within_noise(settings: CompressionSettings, transfer: Transfer) -> Com
     if finest <= asked:
         return settings
     log.info(
-        "paths leave a noise of %.2g in the transfer, which is coded to a tolerance of %.2g: at %.2g the file would but "
-        "hold more of the noise; more `samples` lessen it",
+        "paths leave a noise of %.2g in the transfer, which is coded to a tolerance of %.2g: at %.2g the file would "
+        "only hold more of the noise; more `samples` lessen it",
         transfer.noise,
         finest,
         asked,
