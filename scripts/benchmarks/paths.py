@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 import slepian_prt as sp
+from slepian_prt.paths.harmonics import sum_paths
+from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.renderer.variants import mitsuba
-from slepian_prt.sphere.harmonics import real_sh
+from slepian_prt.sphere.harmonics import degrees, real_sh
 
 BANDLIMIT, RECEIVERS, SEEDS = 2, 400, 4
 SAMPLES, REFERENCE = 512, 8192
+RACE_BANDLIMIT, RACE_RECEIVERS, PATHS_PER_BLOCK = 10, 200, 1 << 20
 ROWS = 96  # of the map: its bilinear interpolation is then off by less than 4e-4
 
 RED = {"type": "rgb", "value": [0.6, 0.3, 0.1]}
@@ -27,9 +31,17 @@ GOLD = {"type": "roughconductor", "material": "Au", "alpha": 0.2}
 def paths() -> None:
     """Receivers whose light comes by way of one effect after the other, then of several, against path and volpath."""
     with mitsuba() as mi:
-        print("  scene              receivers   error   noise   mean z   beyond 3   mean radiance   precompute")
-        for name, (integrator, shapes) in _scenes(mi).items():
-            _verify(mi, name, integrator, {"type": "scene", "sky": _sky(mi), **shapes})
+        print("  scene              receivers   error   noise   mean z   beyond 3     mean radiance   precompute")
+        scenes = {
+            name: (integrator, {"type": "scene", "sky": _sky(mi), **shapes})
+            for name, (integrator, shapes) in _scenes(mi).items()
+        }
+        biases = [_verify(mi, name, integrator, scene) for name, (integrator, scene) in scenes.items()]
+        level = 1.0 - 0.99 ** (1.0 / len(biases))
+        print(f"  largest bias {max(map(abs, biases)):.1f} standard errors; chance allows {norm.isf(level / 2.0):.1f}")
+        print("  at equal time (L = 10): scene, error of transfer, that of plain paths of all light")
+        for name in ("mirror", "metal", "glass", "thin glass"):
+            _race(mi, name, scenes[name][1])
 
 
 def smooth_map() -> NDArray[np.float32]:
@@ -45,7 +57,8 @@ def _sky(mi: Any) -> dict[str, Any]:
     return {"type": "envmap", "bitmap": mi.Bitmap(smooth_map())}
 
 
-def _verify(mi: Any, name: str, integrator: str, scene: dict[str, Any]) -> None:
+def _verify(mi: Any, name: str, integrator: str, scene: dict[str, Any]) -> float:
+    """Print a line of the table; returns by how many standard errors the mean radiance is off."""
     lighting = sp.project_environment(smooth_map(), bandlimit=BANDLIMIT)
     runs, seconds = [], []
     for seed in range(SEEDS):
@@ -67,15 +80,74 @@ def _verify(mi: Any, name: str, integrator: str, scene: dict[str, Any]) -> None:
     z = (difference / np.maximum(noise, 1e-9))[lit]
     error = math.sqrt(np.mean(difference**2) / np.mean(means[1] ** 2))
     expected = math.sqrt(np.mean(noise**2) / np.mean(means[1] ** 2))
+    ratio = means[0].mean() / means[1].mean()
+    spread = [np.std(values.mean(axis=(1, 2)), ddof=1) / math.sqrt(len(values)) for values in (ours, reference)]
+    resolution = math.hypot(*spread) / means[1].mean()
     print(
         f"  {name:18s} {chosen.size:9d}   {error:5.3f}   {expected:5.3f}   {z.mean():6.2f}   {np.mean(abs(z) > 3):8.1%}"
-        f"   {means[0].mean() / means[1].mean():13.4f}   {np.median(seconds):8.1f} s",
+        f"   {ratio:.4f} ± {resolution:.4f}   {np.median(seconds):8.1f} s",
         flush=True,
     )
+    return float((ratio - 1.0) / resolution)
+
+
+def _race(mi: Any, name: str, scene: dict[str, Any]) -> None:
+    """Print the error of transfer, and that of paths of all light that take as long."""
+    sp.precompute(scene, RACE_BANDLIMIT, 16)  # kernels
+    begin = time.perf_counter()
+    transfer = sp.precompute(scene, RACE_BANDLIMIT, SAMPLES)
+    seconds = time.perf_counter() - begin
+    chosen = np.random.default_rng(2).choice(_inner(transfer), RACE_RECEIVERS, replace=False)
+    plain = _PlainPaths(mi, scene, transfer)
+    everywhere = np.flatnonzero(transfer.mesh.receivers.active)
+    plain.trace(everywhere, 16, seed=1)  # kernels
+    begin = time.perf_counter()
+    plain.trace(everywhere, 64, seed=1)
+    count = max(4, round(64 * seconds / (time.perf_counter() - begin)))
+    truth = np.mean([plain.trace(chosen, 1 << 14, seed=seed) for seed in range(10, 14)], axis=0)
+    weights = 1.0 / (degrees(RACE_BANDLIMIT) + 1.0)
+
+    def error(vectors: NDArray) -> float:
+        return float(np.linalg.norm((vectors - truth) * weights) / np.linalg.norm(truth * weights))
+
+    theirs = error(plain.trace(chosen, count, seed=3))
+    print(f"  {name:12s} {error(transfer.vectors[chosen]):.4f}   {theirs:.4f} of {count} paths", flush=True)
+
+
+class _PlainPaths:
+    """All of transport by paths from the receivers, first directions spread by an additive recurrence."""
+
+    def __init__(self, mi: Any, scene: dict[str, Any], transfer: sp.Transfer) -> None:
+        loaded = mi.load_dict(scene)
+        self._mi, self._tracer = mi, PathTracer(mi, loaded, [shape.bsdf() for shape in loaded.shapes()])
+        size = float(np.linalg.norm(np.ptp(transfer.positions, axis=0)))
+        self._normals, self._origins = transfer.normals, transfer.positions + 1e-4 * size * transfer.normals
+
+    def trace(self, receivers: NDArray[np.int64], count: int, seed: int) -> NDArray[np.float32]:
+        """(n, 3, M) transfer vectors."""
+        step = max(1, PATHS_PER_BLOCK // count)
+        blocks = [receivers[begin : begin + step] for begin in range(0, receivers.size, step)]
+        return np.concatenate([self._block(block, count, [seed, i]) for i, block in enumerate(blocks)])
+
+    def _block(self, receivers: NDArray[np.int64], count: int, seed: list[int]) -> NDArray[np.float32]:
+        import drjit as dr
+
+        mi, shifts = self._mi, np.random.default_rng(seed).random((2, receivers.size)).astype(np.float32)
+        lane = dr.arange(mi.UInt32, receivers.size * count)
+        receiver = lane // count
+        along = mi.Float(lane - receiver * count) * mi.Point2f(0.7548776662, 0.5698402909)
+        u = along + dr.gather(mi.Point2f, mi.Point2f(shifts), receiver)
+        normal = dr.gather(mi.Normal3f, mi.Normal3f(self._normals[receivers].T.astype(np.float32)), receiver)
+        origin = dr.gather(mi.Point3f, mi.Point3f(self._origins[receivers].T.astype(np.float32)), receiver)
+        outward = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(u - dr.floor(u)))
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(int(np.random.default_rng(seed).integers(1 << 31)), dr.width(lane))
+        ends = self._tracer.follow(sampler, mi.Ray3f(origin, outward))
+        return sum_paths(mi, RACE_BANDLIMIT, ends, count).vectors / count
 
 
 def _inner(transfer: sp.Transfer) -> NDArray[np.int64]:
-    """Receivers off the borders of their shapes: where walls meet there, rays of the reference slip out between them."""
+    """Receivers off the borders of their shapes: rays of the reference slip out where walls meet there."""
     corners = transfer.mesh.faces
     edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
     unique, uses = np.unique(edges, axis=0, return_counts=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -99,7 +100,11 @@ class Transfer(Summarised):
     def at_bandlimit(self, bandlimit: int) -> Transfer:
         """The same transfer with fewer degrees, without the scene's own light."""
         vectors = np.ascontiguousarray(self.vectors[:, :, : num_coefficients(bandlimit)])
-        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None)
+        noise, size = self.noise, float(np.linalg.norm(vectors))
+        if noise is not None and size > 0.0:  # alike in all coefficients
+            kept = vectors.shape[2] / self.vectors.shape[2]
+            noise *= math.sqrt(kept) * float(np.linalg.norm(self.vectors)) / size
+        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None, noise=noise)
 
     def save(self, path: str | Path) -> None:
         """Write all of it, uncompressed, as a NumPy ``.npz`` file, which `load_transfer` reads back.
@@ -129,6 +134,7 @@ class Transfer(Summarised):
             "rays_traced": self.rays_traced,
             "seconds": sum(self.seconds.values()),
             "environment": None if self.environment is None else self.environment.name,
+            "noise": self.noise,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }

@@ -66,6 +66,7 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
         "effects": [effect.as_dict() for effect in transfer.effects],
         "view": None if transfer.view is None else transfer.view.as_dict(),
         "environment": None if light is None else {"name": light.name, "clamped": light.clamped},
+        "noise": transfer.noise,
     }
     arrays: dict[str, NDArray] = {
         "vectors": transfer.vectors,
@@ -146,6 +147,7 @@ def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
         view=None if about["view"] is None else View(**about["view"]),
         fixed=_fixed(about["fixed"], arrays, count) if "fixed" in about else None,
         parameters=dict(about.get("parameters", {})),
+        noise=about.get("noise"),
         **{name: about[name] for name in _PLAIN},
     )
 

@@ -11,6 +11,7 @@ from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.transport import smoothing
 from slepian_prt.transport.smoothing import (
     BANDS,
+    across_seams,
     calibrate_variance,
     mean_over_neighbours,
     relative_noise,
@@ -92,6 +93,17 @@ def test_what_bands_let_through_of_noise_is_known():
             assert filters.products[i, j].mean() == pytest.approx((one * other).mean(), abs=0.01)
 
 
+def test_receivers_on_both_sides_of_a_seam_are_neighbours():
+    """A band closed at one place by doubled vertices; a third vertex there is of another surface."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 13)
+    positions = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    normals = np.concatenate([positions[:1], [[0.0, 0.0, 1.0]], positions[1:]])
+    positions = np.concatenate([positions[:1], positions[:1], positions[1:]])
+    found = across_seams(strip(14)[2:], positions, normals)
+    assert_exact(found[:11], strip(14)[2:], "those stay")
+    assert sorted(found[11:].ravel().tolist()) == [0, 13]
+
+
 # --- Limits ----------------------------------------------------------------------------------------------------------
 
 
@@ -102,6 +114,12 @@ def test_vectors_without_variance_keep_their_bits():
     assert found.removed == 0.0
     assert not found.variance.any()
     assert np.all(found.gains == 1.0)
+
+
+def test_no_receivers_are_no_mistake():
+    found = smooth(np.zeros((0, 3, 9)), np.zeros((0, 3, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    assert found.vectors.shape == (0, 3, 9)
+    assert found.removed == 0.0
 
 
 def test_receivers_without_neighbours_keep_their_bits():
@@ -228,6 +246,20 @@ def test_clean_degrees_are_left_while_noisy_ones_are_smoothed():
     found = smooth(vectors, variance, torus())
     assert_exact(found.vectors[:, :, :4], vectors[:, :, :4], "these have no noise")
     assert mean_square(found.vectors[:, :, 4:] - truth[:, :, 4:]) < 0.5
+
+
+def test_what_all_get_between_them_is_kept():
+    """Also where gains differ from place to place: light is neither lost nor made at borders."""
+    rng = np.random.default_rng(0)
+    truth = np.repeat(np.where(np.arange(SIDE**2) % SIDE < 7, 0.0, 3.0), 3 * 16).reshape(-1, 3, 16)
+    deviation = np.repeat(0.1 + (np.arange(SIDE**2) // SIDE < 20), 3 * 16).reshape(-1, 3, 16)
+    vectors = (truth + deviation * rng.normal(size=truth.shape)).astype(np.float32)
+    found = smooth(vectors, deviation[:, :, :4] ** 2, torus())
+    assert found.removed > 0.1
+    # Of some thousand numbers below 10, whose differences are summed.
+    np.testing.assert_allclose(
+        found.vectors.sum(axis=0, dtype=np.float64), vectors.sum(axis=0, dtype=np.float64), rtol=0.0, atol=1e-2
+    )
 
 
 def test_the_number_of_threads_changes_no_bit_and_memory_is_that_of_degrees(monkeypatch):
