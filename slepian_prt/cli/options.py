@@ -125,6 +125,12 @@ transport_options = together(
     click.option(
         "--view", metavar="CAMERA", help="Of an .xml scene, by id or number: transfer of glossy materials toward it."
     ),
+    click.option(
+        "--smooth/--no-smooth",
+        default=True,
+        show_default=True,
+        help="Take the noise of light by way of mirrors, glass and the like out along the surface.",
+    ),
     crease_option,
     parameters_option,
     seed_option,

@@ -23,9 +23,12 @@ class LeftOut(NamedTuple):
     reason : str
     verdict : str
         ``not simulated``, or ``gathered`` where pictures of the scene have it.
+    by_paths : bool
+        Whether indirect light toward a camera has it, where that is simulated.
     """
 
     name: str
     share: float | None = None
     reason: str = "only what diffuse surfaces reflect is simulated"
     verdict: str = NOT_SIMULATED
+    by_paths: bool = False

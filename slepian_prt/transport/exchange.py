@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.transport.fixed_lights import bounced_light
+from slepian_prt.transport.glossy import merge_equal_channels
 from slepian_prt.transport.interior import InteriorVertices
 from slepian_prt.transport.interreflection import (
     GATHER_SHARE,
@@ -27,12 +28,17 @@ from slepian_prt.transport.interreflection import (
 )
 from slepian_prt.transport.lamp_paths import trace_lamp_paths
 from slepian_prt.transport.path_light import PathLight, trace_paths
+from slepian_prt.transport.path_plan import first_directions
 from slepian_prt.transport.planned import PlannedScene
-from slepian_prt.transport.smoothing import relative_noise, smooth, surface_guides, variance_of_halves
+from slepian_prt.transport.smoothing import across_seams, relative_noise, smooth, surface_guides, variance_of_halves
+from slepian_prt.transport.view_paths import trace_view_paths
 
 log = logging.getLogger(__name__)
 
 _WHITE = math.sqrt(4.0 * math.pi)
+
+# Bounces toward a camera, where there is no limit to them.
+_MANY = 128
 
 # So many times the light that comes in is worth a remark, at the brightest receivers but for these that noise makes so.
 _TOO_BRIGHT, _NEARLY_ALL = 2.0, 0.99
@@ -117,6 +123,24 @@ def exchange_light(
     return _Solver(planned, gather, paths, blocked, interior).solve(vectors, fixed)
 
 
+def add_indirect(planned: PlannedScene, vectors: NDArray[np.float32], report: Callable[[int], None]) -> Exchanged:
+    """Transfer toward a camera with what comes by way of other surfaces, whatever these are made of."""
+    scene, settings, view = planned.scene, planned.settings, planned.plan.view
+    assert view is not None
+    bounces = _MANY if settings.bounces is None else settings.bounces
+    samples = first_directions(settings.samples)
+    paths = trace_view_paths(scene, view, samples, settings.bandlimit, bounces, settings.seed + 1, report)
+    planned.clock.stop("paths")
+    if vectors.shape[1] == 1:
+        vectors = np.repeat(vectors, 3, axis=1)
+    brought, error = np.zeros_like(vectors), np.zeros_like(vectors)
+    brought[paths.rows], error[paths.rows] = paths.escaped, paths.escaped_error
+    change, variance = _noise_in(planned, paths.rows, brought, error)
+    vectors = vectors + brought + change
+    planned.clock.stop("smoothing")
+    return Exchanged(merge_equal_channels(vectors), None, bounces, paths.rays, relative_noise(variance, vectors))
+
+
 class _Solver:
     """The series, for what is known to be exchanged."""
 
@@ -167,7 +191,6 @@ class _Solver:
 
         What surfaces reflect of the difference follows: (1 - R diag(ρ))⁻¹ of it is added.
         """
-        receivers = self._planned.scene.receivers
         brought, error = np.zeros_like(vectors), np.zeros_like(vectors)
         for channel in range(self._channels):
             light, albedo = vectors[:, channel], self._albedo_of(channel)
@@ -177,12 +200,8 @@ class _Solver:
                 brought[:, channel] += paths.reflected(albedo, light, channel)
                 error[paths.rows, channel] += paths.error(albedo, light, channel)
         self._interior.fill(brought)
-        variance = variance_of_halves(error, receivers.neighbours)
-        if self._planned.settings.smooth:
-            smoothed = smooth(brought, variance, receivers.neighbours, surface_guides(receivers.normals))
-            variance = smoothed.variance
-            change = np.zeros_like(brought)
-            change[paths.rows] = smoothed.vectors[paths.rows] - brought[paths.rows]
+        change, variance = _noise_in(self._planned, paths.rows, brought, error)
+        if change.any():
             vectors += self._spread(change, bounces)
             self._interior.fill(vectors)
         return relative_noise(variance, vectors)
@@ -194,17 +213,13 @@ class _Solver:
             return None, 0
         scene, groups, settings = planned.scene, planned.lamps.groups, planned.settings
         found = trace_lamp_paths(scene, groups, wanted.receivers, wanted.samples, wanted.effects, settings.seed + 3)
-        receivers = scene.receivers
-        brought = np.zeros((len(groups), len(receivers), 3), dtype=np.float32)
+        brought = np.zeros((len(groups), len(scene.receivers), 3), dtype=np.float32)
         for light, radiance, half in zip(brought, found.radiance, found.error, strict=True):
             light[found.rows] = radiance
             self._interior.fill(light)
-            if settings.smooth:
-                error = np.zeros((len(receivers), 3, 1), dtype=np.float32)
-                error[found.rows, :, 0] = half
-                variance = variance_of_halves(error, receivers.neighbours)
-                guides = surface_guides(receivers.normals)
-                light[:] = smooth(light[:, :, None], variance, receivers.neighbours, guides).vectors[:, :, 0]
+            error = np.zeros_like(light)
+            error[found.rows] = half
+            light += _noise_in(planned, found.rows, light[:, :, None], error[:, :, None])[0][:, :, 0]
         planned.clock.stop("paths to lamps")
         return brought, found.rays
 
@@ -242,6 +257,32 @@ class _Solver:
             first = self._source(channel, slice(0, 1))[:, 0] * _WHITE
             counts.append(count_bounces(self._exchange, columns[channel], ambient + first, channel))
         return max(counts)
+
+
+def _noise_in(
+    planned: PlannedScene, rows: NDArray[np.int64], brought: NDArray[np.float32], error: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What to add to light that paths brought, to take noise out of it along the surface; the variance that is left.
+
+    Parameters
+    ----------
+    planned : PlannedScene
+    rows : indices of receivers
+        That paths start from; at others nothing changes.
+    brought, error : (V, channels, (L+1)²)
+        The light, and half the difference of its halves.
+
+    Returns
+    -------
+    (V, channels, (L+1)²), (V, channels, L+1)
+    """
+    receivers, change = planned.scene.receivers, np.zeros_like(brought)
+    variance = variance_of_halves(error, receivers.neighbours)
+    if planned.settings.smooth:
+        pairs = across_seams(receivers.neighbours, receivers.positions, receivers.normals)
+        smoothed = smooth(brought, variance, pairs, surface_guides(receivers.normals))
+        change[rows], variance = smoothed.vectors[rows] - brought[rows], smoothed.variance
+    return change, variance
 
 
 def _remark_on_energy(planned: PlannedScene, paths: PathLight, vectors: NDArray[np.float32]) -> None:

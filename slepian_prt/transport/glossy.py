@@ -73,16 +73,14 @@ class ViewTransfer(Estimator[_ViewSamples]):
         self._mi, self._shadows, self._rays = mi, shadows, 0
         self._half = max(4, samples // 2)
         normals = scene.receivers.normals
-        outgoing = np.array(view.to_world)[:3, 3] - scene.receivers.positions
-        outgoing /= np.maximum(np.linalg.norm(outgoing, axis=1, keepdims=True), 1e-300)
+        outgoing, self._is_facing = toward_camera(scene, view)
         cosine = np.einsum("ij,ij->i", normals, outgoing)
-        self._is_facing = cosine > 1e-4
         if not self._is_facing.any():
             raise UserError(
                 f"{scene.path}: camera '{view.name}' sees no front of any surface; move it or flip the faces"
             )
         self._axes = np.where(self._is_facing[:, None], 2.0 * cosine[:, None] * normals - outgoing, 0.0)
-        self._bsdfs = _ReceiverBSDFs(scene, outgoing)
+        self._bsdfs = ReceiverBSDFs(scene, outgoing)
         rng = np.random.default_rng(seed)
         self._turns = rng.random((2, len(normals))) * 2.0 * math.pi
         density = _measured_density(self._bsdfs, self._axes, np.flatnonzero(self._is_facing), rng)
@@ -171,6 +169,13 @@ class ViewTransfer(Estimator[_ViewSamples]):
         return dr.gather(self._mi.Vector3f, self._mi.Vector3f(values[vertices].T.astype(np.float32)), place)
 
 
+def toward_camera(scene: Scene, view: View) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(V, 3) unit vectors from receivers to a camera, and (V,) which of them face it."""
+    outgoing = np.array(view.to_world)[:3, 3] - scene.receivers.positions
+    outgoing /= np.maximum(np.linalg.norm(outgoing, axis=1, keepdims=True), 1e-300)
+    return outgoing, np.einsum("ij,ij->i", scene.receivers.normals, outgoing) > 1e-4
+
+
 def merge_equal_channels(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     """Transfer vectors (V, channels, M) with one channel if all are the same to rounding."""
     if vectors.shape[1] == 1:
@@ -179,7 +184,7 @@ def merge_equal_channels(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return vectors[:, :1].copy() if gray else vectors
 
 
-class _ReceiverBSDFs:
+class ReceiverBSDFs:
     """The BSDFs of all receivers at their vertices, with the direction to the camera set."""
 
     def __init__(self, scene: Scene, toward: NDArray) -> None:
@@ -259,7 +264,7 @@ def _directions_of_density(density: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def _measured_density(
-    bsdfs: _ReceiverBSDFs, axes: NDArray, facing: NDArray, rng: np.random.Generator
+    bsdfs: ReceiverBSDFs, axes: NDArray, facing: NDArray, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """How far from the reflection direction the light comes from that a pilot of vertices sends to the camera."""
     pilot = rng.choice(facing, min(_PILOT_VERTICES, facing.size), replace=False)

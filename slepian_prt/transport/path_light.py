@@ -215,13 +215,13 @@ def trace_paths(
     rays = PathRays(scene, samples, effects, seed)
     blocks = rays.blocks(vertices)
     size = num_coefficients(bandlimit)
-    result = _Sums(np.concatenate(blocks), len(scene.receivers), channels, size, rays.brightest)
+    result = LightSums(np.concatenate(blocks), len(scene.receivers), channels, size, rays.brightest)
     for count in overlapped(blocks, rays.trace, lambda ends: result.add(ends, bandlimit)):
         advance(count)
     return result.finished()
 
 
-class _Sums:
+class LightSums:
     """Paths added up, block by block in the order of ``rows``."""
 
     def __init__(self, rows: NDArray[np.int64], vertices: int, channels: int, size: int, brightest: float) -> None:

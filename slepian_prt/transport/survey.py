@@ -154,7 +154,8 @@ class _Decisions:
             rows.append(Effect(name, NOT_SIMULATED, self._pilot.backs, None, 0, reason))
         if self._pilot.between > _BETWEEN:
             rows.append(self._between())
-        rows += [Effect(row.name, row.verdict, row.share, None, 0, row.reason) for row in self._scene.not_simulated]
+        left_out = [row for row in self._scene.not_simulated if not (bounces and row.by_paths)]
+        rows += [Effect(row.name, row.verdict, row.share, None, 0, row.reason) for row in left_out]
         estimator = "direct" if self._view is None else "view"
         nodes = self._survey.nodes(self._samples)
         return Plan(tuple(rows), estimator, shadowed, nodes, bounces, channels, self._view, path_plan)
@@ -185,6 +186,8 @@ class _Decisions:
 
     def _interreflection(self) -> Effect:
         """Radiance never exceeds that of a constant environment, so indirect light is at most what is seen, times ρ."""
+        if self._view is not None:
+            return self._indirect_toward_view()
         pilot = self._pilot
         most = pilot.reflecting.mean
         part = part_of_light(pilot.reflecting, pilot.blocked)
@@ -194,9 +197,6 @@ class _Decisions:
         def row(verdict: str, reason: str) -> Effect:
             return Effect("interreflection", verdict, bound, half_width, rays, reason)
 
-        if self._view is not None and most > 0.0:
-            reason = "transfer toward a camera holds direct light only; the contribution is a bound"
-            return row(NOT_SIMULATED, reason)
         if self._is_unwanted("interreflection"):
             return row(OMITTED, f"not asked for (`effects={self._effects}`)")
         if self._is_forced("interreflection"):
@@ -210,6 +210,23 @@ class _Decisions:
         if bound + half_width < TOLERANCE:
             return row(OMITTED, f"at most {bound + half_width:.1%} of the light")
         return row(SIMULATED, "blocked directions see surfaces that reflect; the contribution is a bound")
+
+    def _indirect_toward_view(self) -> Effect:
+        """What is blocked shows surfaces that may shine as the sky does, whatever they are made of."""
+        blocked = self._pilot.blocked
+        # The first ray of each path, and two more of those that are blocked, are about right.
+        rays = round(len(self._scene.receivers) * self._samples * (1.0 + 2.0 * blocked.mean))
+
+        def row(verdict: str, reason: str) -> Effect:
+            return Effect("interreflection", verdict, blocked.mean, blocked.half_width, rays, reason)
+
+        if self._is_unwanted("interreflection"):
+            return row(OMITTED, f"not asked for (`effects={self._effects}`)")
+        if self._is_forced("interreflection"):
+            return row(SIMULATED, "asked for")
+        if blocked.mean + blocked.half_width < TOLERANCE:
+            return row(OMITTED, f"at most {blocked.mean + blocked.half_width:.1%} of the light")
+        return row(SIMULATED, "paths go on from what blocks the sky, by all materials; the contribution is a bound")
 
     def _colour(self, bounces: bool, paths: tuple[str, ...]) -> Effect:
         tint, brought = self._pilot.tint, self._survey.paths.tint(paths)

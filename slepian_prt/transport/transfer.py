@@ -20,9 +20,9 @@ from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import SIMULATED, Effect
-from slepian_prt.transport.exchange import exchange_light
+from slepian_prt.transport.exchange import add_indirect, exchange_light
 from slepian_prt.transport.fixed_lights import direct_fixed_lights
-from slepian_prt.transport.glossy import merge_equal_channels
+from slepian_prt.transport.glossy import merge_equal_channels, toward_camera
 from slepian_prt.transport.interior import find_interior
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
@@ -213,6 +213,15 @@ def precompute(
         return compute_transfer(planned, advance)
 
 
+def _work(planned: PlannedScene) -> int:
+    """Receivers that stages finish, all stages together."""
+    plan, total = planned.plan, len(planned.scene.receivers)
+    if plan.view is not None:
+        return total + (int(toward_camera(planned.scene, plan.view)[1].sum()) if plan.interreflection else 0)
+    total += int(np.sum(~planned.within_media[plan.shadowed])) if plan.interreflection else 0
+    return total + (plan.paths.receivers.size if plan.paths is not None else 0)
+
+
 def compute_transfer(
     planned: PlannedScene, advance: Callable[[int, int], None] = lambda _done, _total: None
 ) -> Transfer:
@@ -226,8 +235,7 @@ def compute_transfer(
     """
     scene, plan, settings = planned.scene, planned.plan, planned.settings
     receivers, mesh = scene.receivers, scene.mesh
-    total = len(receivers) + (plan.shadowed.size if plan.interreflection else 0)
-    total += plan.paths.receivers.size if plan.paths is not None else 0
+    total = _work(planned)
 
     def report(done: int) -> None:
         advance(done, total)
@@ -247,7 +255,11 @@ def compute_transfer(
         planned.clock.stop("fixed lights")
     rays += fixed_rays
     bounces, noise = 0, None
-    if plan.interreflection or plan.paths is not None:
+    if plan.view is not None and plan.interreflection:
+        toward = add_indirect(planned, vectors, report)
+        vectors, bounces, noise = toward.vectors, toward.bounces, toward.noise
+        rays += toward.rays
+    elif plan.interreflection or plan.paths is not None:
         exchanged = exchange_light(planned, vectors, fixed, blocked, interior, report)
         vectors, fixed, bounces, noise = exchanged.vectors, exchanged.fixed, exchanged.bounces, exchanged.noise
         rays += exchanged.rays

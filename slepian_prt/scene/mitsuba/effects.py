@@ -134,11 +134,13 @@ def effects_left_out(mi: Any, outcomes: Sequence[ShapeOutcome], *, view: bool) -
         sending = [shape for shape in shapes if {"gloss", "mirror"} & shape.effects.keys()]
         if sending:
             reason = "light between surfaces is diffuse: no caustics, nothing that mirrors and metals throw on a floor"
-            rows.append(row("light onto other surfaces by reflection of", sending, reason, NOT_SIMULATED))
+            found = row("light onto other surfaces by reflection of", sending, reason, NOT_SIMULATED)
+            rows.append(found._replace(by_paths=True))
         letting = [shape for shape in shapes if {"transmission", "opacity"} & shape.effects.keys()]
         if letting:
             reason = "where they hide the light, they cast the shadow of opaque surfaces; no light goes through them"
-            rows.append(row("light onto other surfaces through", letting, reason, NOT_SIMULATED))
+            found = row("light onto other surfaces through", letting, reason, NOT_SIMULATED)
+            rows.append(found._replace(by_paths=True))
     if view:
         rows += _media(shapes)
     return tuple(rows)
