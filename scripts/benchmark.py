@@ -9,6 +9,7 @@ from benchmarks.all_views import all_views
 from benchmarks.compression import compression
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
+from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.transport import dragons, transport
 
@@ -19,6 +20,7 @@ BENCHMARKS = {
     "relighting": relighting,
     "accuracy": accuracy,
     "paths": paths,
+    "smoothing": smoothing,
     "all_views": all_views,
     "dragons": dragons,
 }

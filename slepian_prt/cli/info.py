@@ -73,6 +73,7 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "bytes_per_vertex": packed.bytes_per_vertex,
         "predicted_error": packed.predicted_error,
         "predicted_relit_error": packed.predicted_relit_error(),
+        "path_noise": packed.path_noise,
         "light_prior": packed.prior or None,
         "predicted_error_under_prior": packed.predicted_error_under_prior,
         "verified_error": packed.verified or None,

@@ -136,6 +136,7 @@ def precompute(
 def _precompute(scene: str, output: str, settings: CompressionSettings, transport: TransportSettings) -> None:
     """As asked for."""
     from slepian_prt.cli.terminal import describe, print_plan, progress
+    from slepian_prt.compression.noise import finest_tolerance
     from slepian_prt.compression.stream import precompute_compressed
 
     with progress("transport", "vertices") as (advance, report):
@@ -145,6 +146,8 @@ def _precompute(scene: str, output: str, settings: CompressionSettings, transpor
     packed.save(output)
     error = settings.expected_error(packed.expected)
     wanted = settings.resolved_tolerance
+    if packed.path_noise is not None:
+        wanted = max(wanted, finest_tolerance(packed.path_noise, packed.expected.total, settings.light_prior))
     if not settings.by_number and error > 1.01 * wanted:
         note(f"a tolerance of {wanted:g} cannot be met with basis {packed.basis} here; the error is {error:.2g}")
     under = f" under light of {packed.prior}" if packed.prior else ""

@@ -54,6 +54,8 @@ class CompressedTransfer(Summarised):
         What the pilot lets expect to be lost, in each degree; of coded coefficients, what rounding lost is in it.
     effects : tuple of Effect
     bounces, samples, seed, rays_traced : int
+    path_noise : float or None
+        Relative RMS noise of the vectors that were compressed, where paths were followed.
     seconds : dict of str to float
     source : str
     parameters : dict of str to str
@@ -95,6 +97,7 @@ class CompressedTransfer(Summarised):
     samples: int
     seed: int
     rays_traced: int
+    path_noise: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     source: str = ""
     parameters: Mapping[str, object] = field(default_factory=dict)
@@ -202,6 +205,7 @@ class CompressedTransfer(Summarised):
             "coding": self.coding,
             "bytes_per_vertex": self.bytes_per_vertex,
             "predicted_error": self.predicted_error,
+            "path_noise": self.path_noise,
             "light_prior": self.prior or None,
             "verified_error": verified or None,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),

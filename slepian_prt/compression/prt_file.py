@@ -83,6 +83,8 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
     if packed.fixed is not None:
         manifest["fixed"], lamps = pack_lamps(packed.fixed)
         light |= lamps
+    if packed.path_noise is not None:
+        manifest["noise"] = packed.path_noise
     container.write(path, manifest, {**mesh, **light, **_transfer_arrays(packed)})
 
 
@@ -196,6 +198,7 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         samples=int(manifest["samples"]),
         seed=int(manifest["seed"]),
         rays_traced=int(manifest["rays_traced"]),
+        path_noise=manifest.get("noise"),
         seconds=dict(manifest["seconds"]),
         source=manifest["source"],
         parameters=dict(manifest.get("parameters", {})),

@@ -24,6 +24,7 @@ from slepian_prt.compression.encoder import WarmStart, encode
 from slepian_prt.compression.fingerprint import fingerprint
 from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer
 from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_bases, pilot_of
+from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
 from slepian_prt.compression.projection import Projection, choose_projection, widen
 from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettings
@@ -82,7 +83,8 @@ def compress(
         the paper's ``slepian`` functions of the cap of normals, ``incident`` on the cap of incident light; ``sh`` of
         low degree; ``pca`` and ``cpca`` from all vectors; ``direct``; or ``none``, all (L+1)² spherical harmonics.
     tolerance : float in (0, 1), optional
-        Wanted relative RMS error of the transfer vectors or, with a light prior, of radiance under such light.
+        Wanted relative RMS error of the transfer vectors or, with a light prior, of radiance under such light. Raised
+        to a third of the noise that vectors of paths have, which finer steps would only keep more of.
     terms : int in [1, (L+1)²], optional
         Instead: this many functions in each cap.
     truncate : ``n_g``, ``n_ref`` or ``count``, optional
@@ -132,6 +134,7 @@ def compress(
         coding=coding,
     )
     settings.check(transfer.bandlimit)
+    settings = coded_within_noise(settings, transfer)
     started = time.perf_counter()
     grouping = grouping or group_transfer(settings, transfer)
     report(f"basis {basis}")
@@ -213,6 +216,7 @@ def encode_transfer(
         samples=transfer.samples,
         seed=transfer.seed,
         rays_traced=transfer.rays_traced,
+        path_noise=transfer.noise,
         seconds={**transfer.seconds, "compress": time.perf_counter() - started},
         source=transfer.source,
         parameters=transfer.parameters,

@@ -9,6 +9,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.learning import LearnedBases, learn_bases, pilot_of
+from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.projection import choose_projection, narrow, widen
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import Projected, compress, encode_transfer, project_transfer
@@ -47,7 +48,7 @@ class ToleranceSweep:
         if settings.needs_all_vectors or settings.resolved_coding != "coded":
             return compress(transfer, **{**vars(settings), "clusters": self._grouping})
         started = time.perf_counter()
-        projected = self._project(settings)
+        projected = self._project(coded_within_noise(settings, transfer))
         return encode_transfer(transfer, projected, started, warm_start=warm_start, keep_decoded=True)
 
     def _project(self, settings: CompressionSettings) -> Projected:

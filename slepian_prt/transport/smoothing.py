@@ -4,7 +4,7 @@ Neighbours' vectors differ little, and their noise is independent. So vectors ar
 between neighbours to what changes over some rings of them (diffusion wavelets: Coifman & Maggioni, Appl. Comput.
 Harmon. Anal. 2006; in pictures Dammertz et al., HPG 2010). With P a mean over a receiver and its neighbours,
 
-    x = P^n x + Σ_k d_k,    d_k = (P^a - P^b) x,    (a, b) = (0, 1), (1, 3), (3, 7), (7, 11).
+    x = P^n x + Σ_k d_k,    d_k = (P^a - P^b) x,    (a, b) = (0, 1), (1, 3), (3, 7), (7, 15), (15, 19).
 
 How much of a band is noise is known, since the variance of x is. Each band is multiplied by Wiener's gain S / (S + N),
 per receiver and degree, with the energies of signal and noise of that degree in the rings around. What cannot be told
@@ -28,8 +28,8 @@ from slepian_prt.errors import UserError
 from slepian_prt.sphere.harmonics import num_coefficients
 
 # Each band: how many times as wide the guides are taken, and how often the mean is applied. First along what the guides
-# call one surface, then across (on tubes: first along them). Means over more rings gain nothing further.
-BANDS = ((1.0, 1), (1.0, 2), (1.0, 4), (4.0, 4))
+# call one surface, then across (on tubes: first along them). More rings gain little further.
+BANDS = ((1.0, 1), (1.0, 2), (1.0, 4), (1.0, 8), (4.0, 4))
 
 # Energies are added up over so many rings: fewer leave noise in the gains, more blur them across borders.
 _POOLED = 4
@@ -59,7 +59,7 @@ class Smoothed:
         Expected squared error of one coefficient of each degree: noise that stayed, and signal that went.
     removed : float
         Relative RMS of what was taken out.
-    gains : (L+1, 4) float64
+    gains : (L+1, 5) float64
         Mean gain of each degree in each of the `BANDS`: 1 is kept, 0 gone.
     """
 
@@ -74,8 +74,8 @@ def smooth(
 ) -> Smoothed:
     """Take out what cannot be told from noise.
 
-    A degree whose error would not fall, by Stein's unbiased estimate of it (Ann. Statist. 1981), stays as it is; so do
-    receivers around which there is no variance.
+    The sum over all receivers is kept. A degree whose error would not fall, by Stein's unbiased estimate of it (Ann.
+    Statist. 1981), stays as it is; so do receivers around which there is no variance.
 
     Parameters
     ----------
@@ -292,29 +292,35 @@ def _smooth_degree(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float64]]:
     """One degree, (V, C, 2l+1), of the variance (V, C): smoothed, its expected squared error, and mean gains."""
     count, channels, orders = vectors.shape
+    if not variance.any():
+        return vectors, variance, np.ones(len(BANDS))
     result, lost = vectors.copy(), np.zeros(count, dtype=np.float32)
     gains = np.ones((len(BANDS) + 1, count), dtype=np.float32)
-    pairs = zip(filters.bands(vectors.reshape(count, -1)), filters.bands(variance), strict=True)
-    for k, ((band, _), (_, around)) in enumerate(pairs):
-        if k == len(BANDS):
-            break
+    bands = zip(range(len(BANDS)), filters.bands(vectors.reshape(count, -1)), filters.bands(variance), strict=False)
+    for k, (band, _), (_, around) in bands:
         energy = np.einsum("vk,vk->v", band, band)
         noise = filters.around(orders * filters.products[k, k] * around.sum(axis=1))
         gain = _wiener(np.maximum(filters.around(energy) - noise, 0.0), noise)
         # Once more, with the energy that passed: noise that is taken for signal here or there is not so twice.
         signal = filters.around(gain * gain * energy)
         gain = gains[k] = _wiener(signal, noise)
-        result -= ((1.0 - gain)[:, None] * band).reshape(vectors.shape)
+        band *= (1.0 - gain)[:, None]
+        result -= band.reshape(vectors.shape)
         lost += (1.0 - gain) * np.sqrt(signal)  # signals of bands side by side are alike
+    spread = filters.around(variance)
+    # Gains that differ from place to place would change what all receivers get between them, by a tenth of a percent.
+    missing = (vectors - result).sum(axis=0, dtype=np.float64).astype(np.float32)
+    result += missing * (spread / np.maximum(spread.sum(axis=0), np.finfo(np.float32).tiny))[:, :, None]
     # Stein's estimate of the error of all receivers.
-    change = np.square(result - vectors, dtype=np.float64).sum(axis=(1, 2))
+    change = result - vectors
+    squares = np.einsum("vcm,vcm->v", change, change)
     white = orders * variance.sum(axis=1, dtype=np.float64)
     own = np.einsum("kv,kv->v", gains, filters.own)
-    error = float((change + (2.0 * own - 1.0) * white).sum())
+    error = float((squares + (2.0 * own - 1.0) * white).sum())
     if error >= white.sum():
         return vectors, variance, np.ones(len(BANDS))
-    passed = np.einsum("kv,klv,lv->v", gains, filters.products, gains, optimize=True)
-    left = passed[:, None] * filters.around(variance) + (lost**2 / (channels * orders))[:, None]
+    passed = np.einsum("kv,klv,lv->v", gains, filters.products, gains)
+    left = passed[:, None] * spread + (lost**2 / (channels * orders))[:, None]
     # Where the error is, is known from gains; how large it is from them, or from that estimate if it says more.
     left *= np.float32(np.clip(error / (orders * left.sum(dtype=np.float64)), 1.0, 2.0))
     return result, left, gains[:-1].mean(axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -66,6 +67,8 @@ class Transfer(Summarised):
         What the scene's lamps send, where it has any.
     film : Film or None
         Of a camera whose pixels are the receivers: the vertices of ``mesh``, which lies flat then.
+    noise : float or None
+        Relative RMS noise of ``vectors``, where paths were followed.
     """
 
     vectors: NDArray[np.float32]
@@ -86,6 +89,7 @@ class Transfer(Summarised):
     toward_view: bool = False
     fixed: FixedLights | None = None
     film: Film | None = None
+    noise: float | None = None
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -101,7 +105,11 @@ class Transfer(Summarised):
         """The same transfer with fewer degrees, without the scene's own light."""
         vectors = np.ascontiguousarray(self.vectors[:, :, : num_coefficients(bandlimit)])
         film = None if self.film is None else self.film.at_bandlimit(bandlimit)
-        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None, film=film)
+        noise, size = self.noise, float(np.linalg.norm(vectors))
+        if noise is not None and size > 0.0:  # alike in all coefficients
+            kept = vectors.shape[2] / self.vectors.shape[2]
+            noise *= math.sqrt(kept) * float(np.linalg.norm(self.vectors)) / size
+        return replace(self, bandlimit=bandlimit, vectors=vectors, environment=None, film=film, noise=noise)
 
     def save(self, path: str | Path) -> None:
         """Write all of it, uncompressed, as a NumPy ``.npz`` file, which `load_transfer` reads back.
@@ -131,6 +139,7 @@ class Transfer(Summarised):
             "rays_traced": self.rays_traced,
             "seconds": sum(self.seconds.values()),
             "environment": None if self.environment is None else self.environment.name,
+            "noise": self.noise,
             "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
             "film": None if self.film is None else f"{self.film.width} x {self.film.height} of {self.film.name}",
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,

@@ -70,6 +70,7 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
         "effects": [effect.as_dict() for effect in transfer.effects],
         "view": None if transfer.view is None else transfer.view.as_dict(),
         "environment": None if light is None else {"name": light.name, "clamped": light.clamped},
+        "noise": transfer.noise,
     }
     arrays: dict[str, NDArray] = {
         "vectors": transfer.vectors,
@@ -154,6 +155,7 @@ def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
         fixed=_fixed(about["fixed"], arrays, count) if "fixed" in about else None,
         film=_film(about["film"], arrays, count) if "film" in about else None,
         parameters=dict(about.get("parameters", {})),
+        noise=about.get("noise"),
         **{name: about[name] for name in _PLAIN},
     )
 

@@ -104,6 +104,12 @@ def test_vectors_without_variance_keep_their_bits():
     assert np.all(found.gains == 1.0)
 
 
+def test_no_receivers_are_no_mistake():
+    found = smooth(np.zeros((0, 3, 9)), np.zeros((0, 3, 3)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    assert found.vectors.shape == (0, 3, 9)
+    assert found.removed == 0.0
+
+
 def test_receivers_without_neighbours_keep_their_bits():
     vectors, variance = noisy(np.zeros((20, 1, 4)), 1.0)
     found = smooth(vectors, variance, np.zeros((0, 2), dtype=np.int64))
@@ -228,6 +234,20 @@ def test_clean_degrees_are_left_while_noisy_ones_are_smoothed():
     found = smooth(vectors, variance, torus())
     assert_exact(found.vectors[:, :, :4], vectors[:, :, :4], "these have no noise")
     assert mean_square(found.vectors[:, :, 4:] - truth[:, :, 4:]) < 0.5
+
+
+def test_what_all_get_between_them_is_kept():
+    """Also where gains differ from place to place: light is neither lost nor made at borders."""
+    rng = np.random.default_rng(0)
+    truth = np.repeat(np.where(np.arange(SIDE**2) % SIDE < 7, 0.0, 3.0), 3 * 16).reshape(-1, 3, 16)
+    deviation = np.repeat(0.1 + (np.arange(SIDE**2) // SIDE < 20), 3 * 16).reshape(-1, 3, 16)
+    vectors = (truth + deviation * rng.normal(size=truth.shape)).astype(np.float32)
+    found = smooth(vectors, deviation[:, :, :4] ** 2, torus())
+    assert found.removed > 0.1
+    # Of some thousand numbers below 10, whose differences are summed.
+    np.testing.assert_allclose(
+        found.vectors.sum(axis=0, dtype=np.float64), vectors.sum(axis=0, dtype=np.float64), rtol=0.0, atol=1e-2
+    )
 
 
 def test_the_number_of_threads_changes_no_bit_and_memory_is_that_of_degrees(monkeypatch):
