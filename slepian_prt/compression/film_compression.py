@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slepian_prt.compression.compressed import CompressedTransfer
@@ -13,8 +15,8 @@ from slepian_prt.lighting.spectrum import falling_prior
 from slepian_prt.scene.film import Film
 from slepian_prt.transport.transfer import Transfer
 
-# The error of coding, as a part of the noise: together they are an eighth more than the noise alone.
-_PART_OF_NOISE = 0.5
+# The error of coding, as a part of the noise: together they are a twentieth more than the noise alone.
+_PART_OF_NOISE = 1.0 / 3.0
 _FINEST, _COARSEST = 0.005, 0.2
 
 # Pixels that a cap has at least: each adds its own functions to the file.
@@ -54,18 +56,22 @@ def compress_film(transfer: Transfer, tolerance: float | None = None) -> Compres
     ----------
     transfer : Transfer
     tolerance : float in (0, 1), optional
-        As of `compress`; by default half of the noise.
+        As of `compress`; by default a third of the noise.
 
     Raises
     ------
     UserError
         Transfer of a mesh; a tolerance that is none.
     """
-    noise = noise_of(transfer)
-    if tolerance is None:
-        tolerance = float(np.clip(_PART_OF_NOISE * noise, _FINEST, _COARSEST))
+    film_of(transfer)
     if not transfer.vectors.any():  # nothing to find functions for
         return compress(transfer, "none", coding="float16")
     seen = int(np.count_nonzero(transfer.mesh.receivers.active))
     clusters = int(np.clip(seen // _LEAST_PIXELS, 1, DEFAULT_CLUSTERS))
-    return compress(transfer, tolerance=tolerance, clusters=clusters, light_prior=falling_prior(transfer.bandlimit))
+    prior = falling_prior(transfer.bandlimit)
+    if tolerance is not None:
+        return compress(transfer, tolerance=tolerance, clusters=clusters, light_prior=prior)
+    # The noise of a film is known in each degree, which says more than the one number that `compress` goes by.
+    tolerance = float(np.clip(_PART_OF_NOISE * noise_of(transfer), _FINEST, _COARSEST))
+    packed = compress(replace(transfer, noise=None), tolerance=tolerance, clusters=clusters, light_prior=prior)
+    return replace(packed, path_noise=transfer.noise)

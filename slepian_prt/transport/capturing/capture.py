@@ -25,6 +25,7 @@ from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, col
 from slepian_prt.transport.capturing.pixel_means import kept_means
 from slepian_prt.transport.capturing.settings import CaptureSettings
 from slepian_prt.transport.planned import Clock
+from slepian_prt.transport.smoothing import relative_noise
 from slepian_prt.transport.transfer import Transfer
 
 if TYPE_CHECKING:
@@ -153,4 +154,5 @@ def open_capture(
                 toward_view=True,
                 fixed=None if pictures is None else pictures.fixed_lights(),
                 film=film,
+                noise=relative_noise(pixels.variance, pixels.vectors),
             )
