@@ -17,6 +17,9 @@ from slepian_prt.transport.planned import PlannedScene
 
 log = logging.getLogger(__name__)
 
+# Effects by which light passes unbent; `lamp_paths` has what is bent, and scattered.
+_STRAIGHT = {"media", "opacity", "glass"}
+
 # Noise of a lamp that is worth a remark.
 _NOISY = 0.02
 
@@ -31,8 +34,7 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
     UserError
         Light that is negative or not finite somewhere.
     """
-    # Through media lamps shine as if they were not there.
-    scene, lamps, settings = planned.survey.scene, planned.lamps, planned.settings
+    scene, lamps, settings = planned.scene, planned.lamps, planned.settings
     if not lamps.groups or not lamps.wanted or planned.plan.view is not None:
         return None, 0
     count = len(scene.receivers)
@@ -40,7 +42,8 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
     shadowed[planned.plan.shadowed] = True
     hidden = scene.is_hidden if planned.plan.shadowed.size else np.zeros(count, dtype=bool)
     direct = np.zeros((len(lamps.groups), count, 3), dtype=np.float32)
-    tracer = LampTracer(scene, lamps.groups, settings.samples, settings.seed)
+    passes = planned.plan.paths is not None and bool(_STRAIGHT & set(planned.plan.paths.effects))
+    tracer = LampTracer(scene, lamps.groups, settings.samples, settings.seed, passes)
     lit = scene.receivers.active & ~hidden
     squared_noise = np.zeros(len(lamps.groups))
     for chosen, shadows in ((np.flatnonzero(lit & shadowed), True), (np.flatnonzero(lit & ~shadowed), False)):

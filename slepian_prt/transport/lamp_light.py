@@ -15,9 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.paths.media import Media, media_of
 from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.face_table import interactions
 from slepian_prt.scene.scene import Scene, mitsuba_scene
+from slepian_prt.transport.first_rays import media_around
 from slepian_prt.transport.hemisphere import upload_origins
 
 _RAYS_PER_BLOCK = 1 << 20
@@ -99,6 +101,9 @@ class LampTracer:
         For a receiver, of all lamps.
     seed : int
         Of the shifts of the sample set at each receiver.
+    passes : bool
+        Whether light comes through what lets it pass unbent: holes, thin glass, and media. Without media anywhere, that
+        of points and directions does not, as in Mitsuba's ``path``.
     rays : int
         Traced so far.
     """
@@ -107,6 +112,7 @@ class LampTracer:
     groups: list[Group]
     samples: int
     seed: int
+    passes: bool = False
     rays: int = 0
 
     def trace(self, vertices: NDArray[np.int64], *, shadows: bool) -> DirectLight:
@@ -144,6 +150,25 @@ class LampTracer:
     def _geometry(self) -> Any:
         return shining_geometry(self.scene)
 
+    @cached_property
+    def _media(self) -> Media:
+        return Media(self.scene.mi, media_of(self.scene.mi, self._geometry))
+
+    def _look_along(
+        self, vertices: NDArray[np.int64], place: Any, ray: Any, active: Any, stream: int, *, stop_at_emitters: bool
+    ) -> tuple[Any, Any, Any]:
+        """As of `Media.look_along`, from receivers."""
+        import drjit as dr
+
+        mi = self.scene.mi
+        medium = dr.zeros(mi.MediumPtr, dr.width(ray))
+        if self._media.present:
+            medium = dr.gather(mi.MediumPtr, media_around(self.scene, vertices), place)
+        sampler = mi.load_dict({"type": "independent"})
+        seed = np.random.SeedSequence([self.seed, stream, int(vertices[0])]).generate_state(1)[0]
+        sampler.seed(mi.UInt32(int(seed)), dr.width(ray))
+        return self._media.look_along(self._geometry, sampler, ray, medium, active, stop_at_emitters=stop_at_emitters)
+
     def _toward(
         self, number: int, vertices: NDArray[np.int64], count: int, along: int, shadows: bool
     ) -> NDArray[np.float64]:
@@ -159,10 +184,14 @@ class LampTracer:
         if shadows:
             ray = mi.Ray3f(origin_of(place, ds.d), ds.d)
             ray.maxt = ds.dist * (1.0 - _SHORTENED)
-            lit &= ~self._geometry.ray_test(ray, lit)
+            stopped = lit & ds.delta if self.passes and not self._media.present else lit & (not self.passes)
+            lit &= ~self._geometry.ray_test(ray, stopped)
             self.rays += dr.width(place)
         part = dr.select(ds.delta, 1.0, power_heuristic(count * chance * ds.pdf, along * cosine))
         value = mi.Color3f(mi.unpolarized_spectrum(weight)) * cosine * part / chance
+        if shadows and self.passes:
+            *_, passed = self._look_along(vertices, place, ray, lit, number, stop_at_emitters=False)
+            value *= mi.Color3f(passed)
         return _halves(mi, dr.select(lit, value, 0.0), vertices.size, count)
 
     def _emitter(self, group: Group, u: Any) -> tuple[Any, Any]:
@@ -187,7 +216,11 @@ class LampTracer:
         outward = mi.Frame3f(it.n).to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1])))
         cosine = dr.maximum(dr.dot(it.n, outward), 0.0) * dr.inv_pi
         ray = mi.Ray3f(origin_of(place, outward), outward)
-        met = geometry.ray_intersect_preliminary(ray, active=(dr.squared_norm(it.n) > 0.5) & (cosine > 0.0))
+        active, passed = (dr.squared_norm(it.n) > 0.5) & (cosine > 0.0), None
+        if self.passes:
+            ray, met, passed = self._look_along(vertices, place, ray, active, len(self.groups), stop_at_emitters=True)
+        else:
+            met = geometry.ray_intersect_preliminary(ray, active=active)
         shining = [shape for shape in self.scene.loaded.shapes() if shape.is_emitter()]
         hit = interactions(mi, shining, ray, met, mi.RayFlags.All)
         self.rays += dr.width(place)
@@ -201,6 +234,8 @@ class LampTracer:
         pdf *= dr.gather(mi.Float, samples_of_it, number, valid)
         part = power_heuristic(count * cosine, pdf)
         value = dr.select(valid, mi.Color3f(mi.unpolarized_spectrum(emitter.eval(hit, valid))) * part, 0.0)
+        if passed is not None:
+            value *= mi.Color3f(passed)
         dr.eval(value, group)
         found = [
             _halves(mi, dr.select(group == i, value, 0.0), vertices.size, count)
