@@ -121,6 +121,21 @@ def test_fog_that_is_seen_through(mi):
     )
 
 
+@pytest.mark.slow
+def test_a_camera_in_fog(mi):
+    """The medium of the sensor: all around it, as far as a ball reaches."""
+    fog = {"type": "homogeneous", "albedo": 0.7, "sigma_t": 0.15}
+    shared = {"type": "ref", "id": "fog"}
+    description = {
+        "type": "scene",
+        "fog": fog,
+        "eye": camera(mi, medium=shared),
+        "cloud": {"type": "sphere", "radius": 6.0, "bsdf": {"type": "null"}, "interior": shared},
+        "ball": {"type": "sphere", "center": [0, 0.9, 0], "radius": 0.6, "bsdf": RED, "exterior": shared},
+    }
+    assert_shows(mi, description, seeds=(1,), integrator="volpath", spp=8 * SAMPLES)
+
+
 def test_the_background_is_apart_from_the_transfer(mi):
     made = capture(
         {
