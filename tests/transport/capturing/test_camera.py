@@ -45,7 +45,7 @@ def test_moments_of_filters(rfilter, beyond, mi):
     sensor = orthographic(mi, rfilter, sample_border=beyond)
     rays = CameraRays(mi, sensor)
     pixels = np.arange(WIDTH * HEIGHT)
-    sampler = stratified_sampler(mi, PER_PIXEL, len(pixels), 1, 0)
+    sampler = stratified_sampler(mi, PER_PIXEL, pixels, 1)
     ray, weight = rays.sample(sampler, pixels_of_lanes(mi, pixels, PER_PIXEL))
     place = places(mi, rays, ray).reshape(HEIGHT, WIDTH, PER_PIXEL, 2)
     weight = np.array(weight)[0].reshape(HEIGHT, WIDTH, PER_PIXEL)
@@ -87,3 +87,17 @@ def test_directions_of_the_grid_are_those_of_rays(kind, mi):
 def test_lanes_of_pixels(pixels, mi):
     lanes = np.array(pixels_of_lanes(mi, np.array(pixels), 3))
     np.testing.assert_allclose(lanes, np.repeat(pixels, 3))
+
+
+def test_pixels_and_passes_have_numbers_of_their_own(mi):
+    """Also beyond 2³² lanes, which count modulo that."""
+    far = np.array([(1 << 20) - 1, 1 << 20])
+    drawn = [
+        np.array(stratified_sampler(mi, 4096, pixels, 3, number).next_2d())
+        for pixels in (far, far + 7)
+        for number in (0, 1, 2)
+    ]
+    for one, first in enumerate(drawn):
+        assert np.abs(np.corrcoef(first[0, :4096], first[0, 4096:])[0, 1]) < 0.07  # of 4,096 pairs: 4.5 deviations
+        for other in drawn[one + 1 :]:
+            assert np.abs(np.corrcoef(first[0], other[0])[0, 1]) < 0.05
