@@ -34,8 +34,8 @@ def coded_within_noise(settings: CompressionSettings, transfer: Transfer) -> Com
     if finest <= asked:
         return settings
     log.info(
-        "the noise of the paths is %.2g: coded to %.2g, as %.2g would but keep more of the noise; more `samples` "
-        "lessen it",
+        "paths leave a noise of %.2g in the transfer, which is coded to a tolerance of %.2g: at %.2g the file would "
+        "only hold more of the noise; more `samples` lessen it",
         transfer.noise,
         finest,
         asked,

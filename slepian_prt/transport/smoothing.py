@@ -40,6 +40,9 @@ _CALIBRATED = 8
 # Difference of normals across which little is averaged.
 _NORMALS = 0.15
 
+# Parts of the extent that are one place, and the cosine of normals there from which on they are of one surface.
+_PLACE, _AGREE = 1e-6, 0.95
+
 # Random signs that tell what bands let through of noise: sqrt(2 / _PROBES) off before it is averaged over rings.
 _PROBES = 64
 _AT_ONCE = 8
@@ -122,6 +125,21 @@ def smooth(
 def surface_guides(normals: NDArray) -> NDArray[np.float64]:
     """Guides (V, 3) of surfaces, from unit normals: little is averaged across 9 degrees at first, then across 34."""
     return np.asarray(normals, dtype=np.float64) / _NORMALS
+
+
+def across_seams(neighbours: NDArray[np.integer], positions: NDArray, normals: NDArray) -> NDArray[np.int64]:
+    """(E', 2) pairs, with those of receivers at one place whose normals agree, as at the seams of a texture.
+
+    Without them both sides of a seam would be smoothed apart, and show it.
+    """
+    extent = float(np.ptp(positions, axis=0).max(initial=0.0)) if len(positions) else 0.0
+    places = np.rint(positions / max(_PLACE * extent, 1e-300))
+    order = np.lexsort([*np.transpose(normals), *places.T])  # by place, and there by normal
+    before, after = order[:-1], order[1:]
+    same = np.all(places[before] == places[after], axis=1)
+    same &= np.einsum("ij,ij->i", normals[before], normals[after]) > _AGREE
+    found = np.stack([before[same], after[same]], axis=1)
+    return np.concatenate([np.asarray(neighbours, dtype=np.int64), found])
 
 
 # --- Variance --------------------------------------------------------------------------------------------------------

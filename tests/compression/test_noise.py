@@ -49,7 +49,7 @@ def test_finest_tolerance_is_a_third_of_what_noise_does_to_radiance(clean, noisy
 def test_nothing_is_finer_than_what_noise_leaves(noisy, caplog):
     with caplog.at_level(logging.INFO, "slepian_prt"):
         packed = compress(noisy, tolerance=0.01, clusters=8)
-    assert "the noise of the paths is 0.3: coded to 0.1, as 0.01 would" in caplog.text
+    assert "a noise of 0.3 in the transfer, which is coded to a tolerance of 0.1: at 0.01" in caplog.text
     assert packed.predicted_error == pytest.approx(NOISE / 3.0, rel=0.1)
     assert packed.path_noise == NOISE
     error = np.linalg.norm(packed.reconstruct() - noisy.vectors[:, 0]) / np.linalg.norm(noisy.vectors)

@@ -11,6 +11,7 @@ from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.transport import smoothing
 from slepian_prt.transport.smoothing import (
     BANDS,
+    across_seams,
     calibrate_variance,
     mean_over_neighbours,
     relative_noise,
@@ -90,6 +91,17 @@ def test_what_bands_let_through_of_noise_is_known():
         assert filters.own[i].mean() == pytest.approx(one.mean(), abs=0.01)
         for j, other in enumerate(operators):
             assert filters.products[i, j].mean() == pytest.approx((one * other).mean(), abs=0.01)
+
+
+def test_receivers_on_both_sides_of_a_seam_are_neighbours():
+    """A band closed at one place by doubled vertices; a third vertex there is of another surface."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 13)
+    positions = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    normals = np.concatenate([positions[:1], [[0.0, 0.0, 1.0]], positions[1:]])
+    positions = np.concatenate([positions[:1], positions[:1], positions[1:]])
+    found = across_seams(strip(14)[2:], positions, normals)
+    assert_exact(found[:11], strip(14)[2:], "those stay")
+    assert sorted(found[11:].ravel().tolist()) == [0, 13]
 
 
 # --- Limits ----------------------------------------------------------------------------------------------------------
