@@ -82,7 +82,7 @@ def capture(
         else:
             report("coding")
             compress_film(transfer, tolerance).save(output)
-    _say_what_came_of_it(output, transfer, settings.max_error)
+    _say_what_came_of_it(output, transfer, settings.max_error, power)
 
 
 def _mean_power(environment: tuple[str, ...], clamp_negative: bool, bandlimit: int) -> Any:
@@ -96,10 +96,10 @@ def _mean_power(environment: tuple[str, ...], clamp_negative: bool, bandlimit: i
     return measured_prior(lights, bandlimit, ", ".join(environment)).weights ** 2
 
 
-def _say_what_came_of_it(output: str, transfer: Transfer, wanted: float | None) -> None:
+def _say_what_came_of_it(output: str, transfer: Transfer, wanted: float | None, power: Any) -> None:
     from slepian_prt.compression.film_compression import film_of, noise_of
 
-    film, noise = film_of(transfer), noise_of(transfer)
+    film, noise = film_of(transfer), noise_of(transfer, power)
     if wanted is not None and noise > wanted:
         note(f"a noise of {wanted:g} was not reached; it is {noise:.2g} after {transfer.samples} samples of each pixel")
     pixels = film.width * film.height

@@ -39,7 +39,8 @@ def info(file: str, as_json: bool) -> None:
     for name, value in known.items():
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
         click.echo(_entry(f"{name:<{width}}", text))
-    print_plan(packed.effects)
+    if packed.effects:
+        print_plan(packed.effects)
 
 
 def _entry(name: str, text: str) -> str:

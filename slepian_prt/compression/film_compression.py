@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.prediction import by_degree
@@ -37,15 +38,15 @@ def film_of(transfer: Transfer) -> Film:
     return transfer.film
 
 
-def noise_of(transfer: Transfer) -> float:
-    """Relative RMS noise of a captured picture under light that falls as 1/(l+1)²."""
+def noise_of(transfer: Transfer, power: NDArray[np.float64] | None = None) -> float:
+    """Relative RMS noise of a captured picture under light of a power per harmonic, or that falls as 1/(l+1)²."""
     film = film_of(transfer)
     energy = np.zeros(transfer.bandlimit + 1)
     for begin in range(0, len(transfer.vectors), _BLOCK):
         energy += by_degree(
             np.asarray(np.sum(transfer.vectors[begin : begin + _BLOCK] ** 2, axis=(0, 1), dtype=np.float64))
         )
-    power = falling_prior(transfer.bandlimit).weights ** 2
+    power = falling_prior(transfer.bandlimit).weights ** 2 if power is None else power
     return film.relative_noise(energy / len(transfer.vectors), power)
 
 

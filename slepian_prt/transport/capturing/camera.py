@@ -17,6 +17,9 @@ _CAMERAS = ("PerspectiveCamera", "ThinLensCamera", "OrthographicCamera")
 # Cells that a reconstruction filter is tabulated in.
 _CELLS = 2048
 
+# Corners of a film whose directions span less than this are taken for equally far.
+_PARALLEL = 1e-3
+
 # Points of an aperture, by an additive recurrence (Roberts 2018).
 _APERTURE = 16
 _STEPS = (0.7548776662466927, 0.5698402909980532)
@@ -143,9 +146,7 @@ class CameraRays:
         through = [np.broadcast_to(lens[:, axis, None, None], shape).ravel().astype(np.float32) for axis in (0, 1)]
         ray, _ = sensor.sample_ray(sensor.shutter_open(), mi.Float(0.5), mi.Point2f(*at), mi.Point2f(*through))
         found = np.broadcast_to(np.array(ray.d, dtype=np.float64), (3, at[0].size)).T.reshape(*shape, 3)
-        ahead = found.sum(axis=(1, 2), keepdims=True)
-        depth = np.sum(found * (ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)), axis=-1, keepdims=True)
-        return np.asarray(found / depth, dtype=np.float32)
+        return np.stack([_on_a_plane(corners) for corners in found]).astype(np.float32)
 
     def _offset(self, u: Any, place: Any, size: int) -> tuple[Any, Any]:
         """How far from the middle of a pixel (at ``place``, of ``size``) along an axis, and with what weight.
@@ -182,3 +183,14 @@ class CameraRays:
         cell = dr.minimum(mi.UInt32(place), self._filter.values.size - 1)
         before, after = (dr.gather(mi.Float, table, cell + step) for step in (0, 1))
         return dr.fma(place - mi.Float(cell), after - before, before)
+
+
+def _on_a_plane(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Directions (2, 2, 3) of such lengths that they end in a parallelogram, as the corners of a film do.
+
+    The lengths s solve s00 d00 + s11 d11 = s01 d01 + s10 d10, and are equal where the directions are nearly so.
+    """
+    columns = np.stack([corners[0, 0], corners[1, 1], -corners[0, 1], -corners[1, 0]], axis=1)
+    _, values, rows = np.linalg.svd(columns)
+    lengths = np.abs(rows[3]) * 2.0 if values[2] > _PARALLEL * values[0] else np.ones(4)
+    return corners * lengths[[[0, 2], [3, 1]]][..., None]

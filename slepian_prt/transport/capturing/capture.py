@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.lighting.lamps import lamps_of
+from slepian_prt.lighting.environment import Environment
+from slepian_prt.lighting.lamps import Lamp, lamps_of
 from slepian_prt.scene.film import film_mesh
 from slepian_prt.scene.loading import open_mitsuba
 from slepian_prt.scene.mitsuba.files import silent
@@ -18,11 +21,11 @@ from slepian_prt.scene.mitsuba.scenes import distant_light
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import view_of
 from slepian_prt.transport.capturing.camera import CameraRays, find_camera
-from slepian_prt.transport.capturing.denoising import guide_table, smoothed
-from slepian_prt.transport.capturing.guides import look_at_surfaces
-from slepian_prt.transport.capturing.lamp_pictures import picture_lamps
-from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, collect, film_of, fingerprint
-from slepian_prt.transport.capturing.pixel_means import kept_means
+from slepian_prt.transport.capturing.denoising import Pixels, guide_table, smoothed
+from slepian_prt.transport.capturing.guides import Guides, look_at_surfaces
+from slepian_prt.transport.capturing.lamp_pictures import LampPictures, picture_lamps
+from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, collect, film_of, fingerprint, noise_of
+from slepian_prt.transport.capturing.pixel_means import PixelMeans, kept_means
 from slepian_prt.transport.capturing.settings import CaptureSettings
 from slepian_prt.transport.planned import Clock
 from slepian_prt.transport.smoothing import relative_noise
@@ -62,7 +65,7 @@ def capture(
     samples : int in [2, 65536], optional
         Paths of each pixel, 256 by default; a few more where they stratify better.
     max_error : float in (0, 1), optional
-        Instead: as many as bring the noise of the relit picture (relative RMS) down to this.
+        Instead: as many as bring the noise of the relit picture (relative RMS), smoothed if it is, down to this.
     max_seconds : float, optional
         Instead, or beside ``max_error``: as many as take so long.
     power : (L+1,), optional
@@ -113,46 +116,94 @@ def open_capture(
     with open_mitsuba(scene, settings.parameters) as (mi, loaded, name):
         camera = find_camera(loaded.sensors(), settings.sensor, name)
         with silent(mi):
-            own = distant_light(mi, loaded.emitters(), name)
+            own, lamps = distant_light(mi, loaded.emitters(), name), lamps_of(mi, loaded, name)
         job = Job(mi, loaded, name, camera, CameraRays(mi, camera), settings, power)
         clock.stop("load")
         with kept_means(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as held:
-            passes = add_passes(job, held, advance)
-            pixels, samples = collect(job, held), passes * settings.per_pass
+            finish = _Finish(job, held, look_at_surfaces(mi, loaded, job.rays), own, lamps)
+            passes = add_passes(job, held, lambda passes: noise_of(job, finish.pixels(passes)), advance)
             clock.stop("transport")
-            lamps = lamps_of(mi, loaded, name)
-            pictures = picture_lamps(mi, loaded, job.rays, lamps, settings.per_pass, passes, settings.seed)
+            pictures = finish.pictures(passes)
             if pictures is not None:
                 clock.stop("fixed lights")
-            guides = look_at_surfaces(mi, loaded, job.rays)
-            mesh = film_mesh(camera.id(), job.rays.width, job.rays.height, axes_of(pixels.vectors, guides.normals))
             if settings.smooth:
                 report("smoothing")
-                neighbours, table = mesh.receivers.neighbours, guide_table(guides, pixels.background)
-                pixels = smoothed(pixels, neighbours, table, samples)
-                pictures = None if pictures is None else pictures.smoothed(neighbours, table)
-                clock.stop("smooth")
-            film = film_of(job, pixels)
-            if not film.coverage.any():
-                log.info("%s: camera '%s' sees nothing of the scene; the picture is its background", name, film.name)
-            yield Transfer(
-                vectors=pixels.vectors,
-                axes=mesh.normals,
-                mesh=mesh,
-                parts=(Part(film.name, 0, job.pixels),),
-                bandlimit=settings.bandlimit,
-                samples=samples,
-                seed=settings.seed,
-                effects=(),
-                bounces=0,
-                rays_traced=pixels.rays,
-                seconds=dict(clock.seconds),
-                source=name,
-                parameters=dict(settings.parameters or {}),
-                environment=own,
-                view=view_of(mi, camera),
-                toward_view=True,
-                fixed=None if pictures is None else pictures.fixed_lights(),
-                film=film,
-                noise=relative_noise(pixels.variance, pixels.vectors),
-            )
+            pixels = finish.pixels(passes)
+            clock.stop("smooth")
+            yield finish.transfer(pixels, pictures, passes, dict(clock.seconds))
+
+
+@dataclass(frozen=True, eq=False)
+class _Finish:
+    """What becomes of passes: pixels with less noise, and transfer.
+
+    Attributes
+    ----------
+    job : Job
+    held : PixelMeans
+        What was traced.
+    guides : Guides
+    own : Environment or None
+        Distant light of the scene.
+    lamps : list of Lamp
+    """
+
+    job: Job
+    held: PixelMeans
+    guides: Guides
+    own: Environment | None
+    lamps: list[Lamp]
+
+    @cached_property
+    def neighbours(self) -> NDArray[np.int64]:
+        """(E, 2) pixels side by side."""
+        rays = self.job.rays
+        return film_mesh("", rays.width, rays.height, np.zeros((self.job.pixels, 3))).receivers.neighbours
+
+    @cached_property
+    def table(self) -> NDArray[np.float64]:
+        """(V, k) guides of `smooth`."""
+        return guide_table(self.guides, collect(self.job, self.held).background)
+
+    def pixels(self, passes: int) -> Pixels:
+        """All pixels after so many passes."""
+        found = collect(self.job, self.held)
+        if not self.job.settings.smooth:
+            return found
+        return smoothed(found, self.neighbours, self.table, passes * self.job.settings.per_pass)
+
+    def pictures(self, passes: int) -> LampPictures | None:
+        """What the scene's lamps send, by as many paths."""
+        job, settings = self.job, self.job.settings
+        pictures = picture_lamps(job.mi, job.loaded, job.rays, self.lamps, settings.per_pass, passes, settings.seed)
+        return pictures.smoothed(self.neighbours, self.table) if pictures is not None and settings.smooth else pictures
+
+    def transfer(
+        self, pixels: Pixels, pictures: LampPictures | None, passes: int, seconds: dict[str, float]
+    ) -> Transfer:
+        """The result."""
+        job, settings, film = self.job, self.job.settings, film_of(self.job, pixels)
+        axes = axes_of(self.held.vectors(), self.guides.normals)
+        if not film.coverage.any():
+            log.info("%s: camera '%s' sees nothing of the scene; the picture is its background", job.name, film.name)
+        return Transfer(
+            vectors=pixels.vectors,
+            axes=axes,
+            mesh=film_mesh(film.name, film.width, film.height, axes),
+            parts=(Part(film.name, 0, job.pixels),),
+            bandlimit=settings.bandlimit,
+            samples=passes * settings.per_pass,
+            seed=settings.seed,
+            effects=(),
+            bounces=0,
+            rays_traced=pixels.rays,
+            seconds=seconds,
+            source=job.name,
+            parameters=dict(settings.parameters or {}),
+            environment=self.own,
+            view=view_of(job.mi, job.sensor),
+            toward_view=True,
+            fixed=None if pictures is None else pictures.fixed_lights(),
+            film=film,
+            noise=relative_noise(pixels.variance, pixels.vectors),
+        )

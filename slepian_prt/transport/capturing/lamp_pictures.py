@@ -80,8 +80,7 @@ def picture_lamps(
     for number, lamp in enumerate(lamps):
         with silent(mi), _alone(mi, loaded, lamp.place):
             for one in range(passes):
-                seeds = np.random.SeedSequence([seed, 1 + number, one])
-                picture = _picture(mi, loaded, integrator, rays, samples, int(seeds.generate_state(1)[0]))
+                picture = _picture(mi, loaded, integrator, rays, samples, (seed, one, 1 + number))
                 sums[number] += picture
                 squares[number] += np.square(picture, dtype=np.float64)
     means = sums / passes
@@ -119,7 +118,9 @@ def _copy(value: Any) -> Any:
     return value if isinstance(value, float | int) else type(value)(value)
 
 
-def _picture(mi: Any, loaded: Any, integrator: Any, rays: CameraRays, samples: int, seed: int) -> NDArray[np.float32]:
+def _picture(
+    mi: Any, loaded: Any, integrator: Any, rays: CameraRays, samples: int, seeds: tuple[int, ...]
+) -> NDArray[np.float32]:
     """(V, 3) mean radiance of the pixels."""
     import drjit as dr
 
@@ -128,7 +129,7 @@ def _picture(mi: Any, loaded: Any, integrator: Any, rays: CameraRays, samples: i
     picture = np.empty((count, 3), dtype=np.float32)
     for begin in range(0, count, per_block):
         pixels = np.arange(begin, min(begin + per_block, count))
-        sampler = stratified_sampler(mi, samples, len(pixels), seed, begin * samples)
+        sampler = stratified_sampler(mi, samples, pixels, *seeds)
         ray, weight = rays.sample(sampler, pixels_of_lanes(mi, pixels, samples))
         radiance, _, _ = integrator.sample(loaded, sampler, mi.RayDifferential3f(ray), rays.medium, mi.Bool(True))
         shown = mi.Color3f(mi.unpolarized_spectrum(radiance)) * weight

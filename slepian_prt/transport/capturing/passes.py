@@ -26,8 +26,12 @@ from slepian_prt.transport.capturing.denoising import Pixels
 from slepian_prt.transport.capturing.pixel_means import PixelMeans
 from slepian_prt.transport.capturing.pixel_paths import LANES, PixelPaths
 from slepian_prt.transport.capturing.settings import CaptureSettings
+from slepian_prt.transport.smoothing import relative_noise
 
 log = logging.getLogger(__name__)
+
+# Passes are so many times as many at most, before the noise is looked at again.
+_MOST_AT_ONCE = 4.0
 
 # What Mitsuba calls objects without an id: by their addresses.
 _UNNAMED = re.compile(r"object_\d+")
@@ -97,50 +101,48 @@ def fingerprint(job: Job) -> str:
     return digest.hexdigest()[:32]
 
 
-def add_passes(job: Job, held: PixelMeans, advance: Callable[[int, int], None]) -> int:
-    """Trace until what is asked for is there; the number of passes, which all blocks have then."""
+def add_passes(job: Job, held: PixelMeans, noise: Callable[[int], float], advance: Callable[[int, int], None]) -> int:
+    """Trace until what is asked for is there; the number of passes, which all blocks have then.
+
+    Parameters
+    ----------
+    job : Job
+    held : PixelMeans
+        With what was finished before.
+    noise : callable
+        Gives the relative noise of what is held, of so many passes.
+    advance : as of `capture`
+    """
     settings, started = job.settings, time.perf_counter()
-    kept = sum(held.passes(block) for block in range(held.blocks))
-    if kept:
-        log.info("%d of %d blocks of pixels were finished before and are kept", kept, held.blocks * settings.passes)
-    done, wanted, told = 0, settings.passes, 0
+    kept = [held.passes(block) for block in range(held.blocks)]
+    done = first = min(kept)
+    wanted = max(settings.passes, max(kept))
+    if sum(kept):
+        log.info("%d of %d blocks of pixels were finished before and are kept", sum(kept), held.blocks * wanted)
+        advance(done * job.pixels, wanted * job.pixels)
     while done < wanted:
-        for block in range(held.blocks):
-            pixels = held.pixels(block)
-            if held.passes(block) <= done:
-                held.add(block, job.paths.trace(pixels, done))
-            total = wanted * job.pixels
-            advance(len(pixels), max(total, told))
-            told = max(total, told)
-        done += 1
-        if settings.is_open and done >= settings.passes:
-            wanted = _wanted_passes(job, held, done, time.perf_counter() - started)
+        while done < wanted:
+            for block in range(held.blocks):
+                if held.passes(block) == done:
+                    held.add(block, job.paths.trace(held.pixels(block), done))
+                advance(len(held.pixels(block)), wanted * job.pixels)
+            done += 1
+        if settings.is_open:
+            each = (time.perf_counter() - started) / max(done - first, 1)
+            wanted = _wanted_passes(settings, done, noise, each)
     return done
 
 
-def _wanted_passes(job: Job, held: PixelMeans, done: int, seconds: float) -> int:
-    """How many passes the goals want, as the noise and the time of those that are done tell."""
-    settings, wanted = job.settings, [job.settings.most_passes]
+def _wanted_passes(settings: CaptureSettings, done: int, noise: Callable[[int], float], seconds: float) -> int:
+    """How many passes the goals want, where each takes so many seconds: no more than are done if they are met."""
+    wanted = [settings.most_passes]
     if settings.max_error is not None:
-        noise = _relative_noise(job, held)
-        wanted.append(done if noise <= settings.max_error else math.ceil(done * (noise / settings.max_error) ** 2))
+        reached = noise(done)
+        times = (reached / settings.max_error) ** 2  # or more, where smoothing takes out less of less noise
+        wanted.append(done if times <= 1.0 else max(done + 1, math.ceil(min(times, _MOST_AT_ONCE) * done)))
     if settings.max_seconds is not None:
-        wanted.append(max(done, int(settings.max_seconds * done / max(seconds, 1e-9))))
+        wanted.append(int(settings.max_seconds / max(seconds, 1e-9)))
     return min(wanted)
-
-
-def _relative_noise(job: Job, held: PixelMeans) -> float:
-    """Relative RMS noise of the picture, averaged over the rotations of the light."""
-    noise, signal = 0.0, 0.0
-    counts = np.bincount(degrees(job.settings.bandlimit))
-    for block in range(held.blocks):
-        means, variance = held.means(block)
-        noise += float(variance.sum(axis=(0, 1), dtype=np.float64) @ (counts * job.light))
-        signal += float(
-            (means.vectors.astype(np.float64) ** 2).sum(axis=(0, 1)) @ job.light[degrees(job.settings.bandlimit)]
-        )
-    # The energy of the means holds that of their noise.
-    return math.sqrt(noise / max(signal - noise, 1e-300)) if signal > 0.0 else 0.0
 
 
 def collect(job: Job, held: PixelMeans) -> Pixels:
@@ -172,6 +174,11 @@ def film_of(job: Job, pixels: Pixels) -> Film:
         noise=np.sqrt(pixels.variance.mean(axis=1) @ (counts * falling)).astype(np.float32),
         noise_power=pixels.variance.sum(axis=1).mean(axis=0, dtype=np.float64) * counts,
     )
+
+
+def noise_of(job: Job, pixels: Pixels) -> float:
+    """Relative RMS noise of the picture, averaged over the rotations of the light that noise counts under."""
+    return relative_noise(pixels.variance, pixels.vectors, job.light)
 
 
 def axes_of(vectors: NDArray[np.float32], normals: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -17,15 +17,16 @@ from slepian_prt.transport.capturing.pixel_means import BlockMeans
 LANES = 1 << 19
 
 
-def stratified_sampler(mi: Any, per_pixel: int, pixels: int, seed: int, sequence: int) -> Any:
+def stratified_sampler(mi: Any, per_pixel: int, pixels: NDArray[np.int64], seed: int, *numbers: int) -> Any:
     """A sampler whose lanes are ``per_pixel`` for each pixel, side by side, stratified among themselves.
 
-    ``sequence`` (below 2³²) is another for each pixel and pass: how many lanes came before.
+    Pixels are consecutive; ``numbers`` tell passes apart.
     """
-    base = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    base = int(np.random.SeedSequence([seed, *numbers]).generate_state(1)[0])
     sampler = mi.load_dict({"type": "multijitter", "sample_count": per_pixel, "seed": base})
     sampler.set_samples_per_wavefront(per_pixel)
-    sampler.seed(sequence % (1 << 32), per_pixel * pixels)
+    # Each pixel has a sequence of its own: how many lanes there are before it.
+    sampler.seed(int(pixels[0]) * per_pixel % (1 << 32), per_pixel * len(pixels))
     return sampler
 
 
@@ -60,8 +61,7 @@ class PixelPaths:
         import drjit as dr
 
         mi, count = self._mi, self._per_pixel
-        sequence = (number * self._rays.width * self._rays.height + int(pixels[0])) * count
-        sampler = stratified_sampler(mi, count, len(pixels), self._seed, sequence)
+        sampler = stratified_sampler(mi, count, pixels, self._seed, number)
         ray, weight = self._rays.sample(sampler, pixels_of_lanes(mi, pixels, count))
         ends = self._tracer.follow(sampler, ray, medium=self._rays.medium)
         carried = dr.select(ends.escaped, ends.throughput, 0.0) * (weight * (1.0 / count))

@@ -11,6 +11,8 @@ from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.drawing.film_pictures import FilmDrawing
 from slepian_prt.relighting.relight import relight
 from slepian_prt.transport.capturing.capture import capture
+from slepian_prt.transport.capturing.pixel_paths import PixelPaths
+from slepian_prt.transport.capturing.settings import CaptureSettings
 from tests.numerics import assert_rounded
 from tests.statistics import assert_agree
 from tests.transport.capturing.scenes import (
@@ -119,6 +121,21 @@ def test_fog_that_is_seen_through(mi):
     )
 
 
+@pytest.mark.slow
+def test_a_camera_in_fog(mi):
+    """The medium of the sensor: all around it, as far as a ball reaches."""
+    fog = {"type": "homogeneous", "albedo": 0.7, "sigma_t": 0.15}
+    shared = {"type": "ref", "id": "fog"}
+    description = {
+        "type": "scene",
+        "fog": fog,
+        "eye": camera(mi, medium=shared),
+        "cloud": {"type": "sphere", "radius": 6.0, "bsdf": {"type": "null"}, "interior": shared},
+        "ball": {"type": "sphere", "center": [0, 0.9, 0], "radius": 0.6, "bsdf": RED, "exterior": shared},
+    }
+    assert_shows(mi, description, seeds=(1,), integrator="volpath", spp=8 * SAMPLES)
+
+
 def test_the_background_is_apart_from_the_transfer(mi):
     made = capture(
         {
@@ -173,6 +190,33 @@ def test_goals(mi):
     assert capture(scene, bandlimit=2, max_seconds=1e-3).samples == 32  # two passes, without which no noise is known
 
 
+class Killed(BaseException):
+    pass
+
+
+def test_stopped_in_a_pass_and_continued_toward_another_goal(mi, monkeypatch):
+    """Of three blocks two have one pass more when it is stopped: the third gets it, too, before anything is decided."""
+    monkeypatch.setattr("slepian_prt.transport.capturing.passes.LANES", 50 * 16)
+    scene, calls = mi.load_dict(open_box(mi, eye=camera(mi, film_of=film(12)))), []
+    trace = PixelPaths.trace
+
+    def stopping(self, pixels, number):
+        calls.append(number)
+        if len(calls) > 8:
+            raise Killed
+        return trace(self, pixels, number)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(PixelPaths, "trace", stopping)
+        with pytest.raises(Killed):
+            capture(scene, bandlimit=2, max_error=1e-4)
+    assert calls == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    resumed = capture(scene, bandlimit=2, max_error=0.9)
+    assert resumed.samples == 3 * 16
+    monkeypatch.setattr(CaptureSettings, "passes", 3)
+    assert_rounded(resumed.vectors, capture(scene, bandlimit=2, max_error=0.9).vectors, 64)
+
+
 @pytest.mark.slow
 def test_lamps_apart_from_the_sky(mi):
     """Each lamp has a picture of its own, with its bounces off glass and mirrors; together they are Mitsuba's."""
@@ -209,6 +253,13 @@ def test_a_lamp_by_itself(mi):
     reference = [np.array(mi.render(alone, integrator=path, spp=2 * SAMPLES, seed=run)) for run in range(RUNS)]
     pictures = [one.film.picture(relight(one, None, fixed_lights={"lamp1": 1.0, "*": 0.0})) for one in made]
     assert_agree(np.stack(pictures), np.stack(reference)[..., :3])
+
+
+def test_a_lamp_that_cannot_be_used_is_told_before_the_work(mi, monkeypatch):
+    monkeypatch.setattr(PixelPaths, "trace", lambda *_: pytest.fail("traced before the lamp was looked at"))
+    lamp = {"type": "point", "intensity": {"type": "rgb", "value": [-1.0, 0.0, 0.0]}}
+    with pytest.raises(UserError, match="lamp 'lamp': its light is negative"):
+        capture(open_box(mi, lamp=lamp), samples=2, bandlimit=0)
 
 
 # --- What cannot be captured -----------------------------------------------------------------------------------------
