@@ -35,15 +35,18 @@ class Flight:
 class Media:
     """The participating media of a scene; functions that fit into the body of a ``dr.while_loop``.
 
-    Extinction may be coloured, and vary in space below a constant majorant σ̄. Where `volpath` takes distances by one
-    channel for a whole path, here each is drawn by a channel c of probability p_c ∝ β_c, its throughput, and weighted
-    by all of them (the one-sample model of multiple importance sampling, Veach 1997, Sec. 9.2.4):
+    Extinction may be coloured, and vary in space below a constant majorant σ̄. `volpath` takes distances by one channel
+    for a whole path, which leaves the weights of the others without bound, and ends paths by absorption. Here what is
+    left of the light in all channels c decides: with P_c = e^(-σ̄_c s) to a surface at s, and S_c = a_c (1 - P_c), a_c
+    the albedo if that is the same everywhere, else 1,
 
-        β_c ← β_c e^(-σ̄_c t) / Σ_k p_k e^(-σ̄_k t)          to a surface at t
-        β_c ← β_c e^(-σ̄_c t) σ_s,c / Σ_k p_k σ̄_k e^(-σ̄_k t)    to a particle at t
+        β_c ← β_c P_c Σ β (S + P) / Σ β P                      to the surface, with probability Σ β P / Σ β (S + P)
+        β_c ← β_c e^(-σ̄_c t) Σ β (S + P) / Σ β a σ̄ e^(-σ̄ t)     to a collision at t, drawn by one channel of
+                                                               probability β_c S_c / Σ β S
 
-    so that Σ β never grows, which has no bound with one channel. Whether a collision is one with the fictitious matter
-    that fills up to σ̄ is drawn by β as well.
+    and a collision scatters with probability Σ β σ_s / Σ β (σ_s + σ_n), β_c ← β_c σ_s,c / that, or is one with the
+    fictitious matter σ_n that fills up to σ̄, so that Σ β never grows (one-sample model of multiple importance
+    sampling, Veach 1997, Sec. 9.2.4; spectral tracking, Kutz et al. 2017).
 
     Parameters
     ----------
@@ -92,23 +95,29 @@ class Media:
         begin, end = self._extent(ray, distance, medium, active)
         majorant = medium.get_majorant(self._place(ray, begin, medium), active)
 
+        # What collisions leave of the light, where that is the same everywhere.
+        scattering, _, _ = medium.get_scattering_coefficients(self._place(ray, begin, medium), active)
+        kept = dr.select(medium.is_homogeneous(), _over(scattering, majorant), 1.0)
+
         def collide(sampler: Any, on: Any, t: Any, β: Any, scattered: Any) -> tuple[Any, ...]:
             shares = [dr.abs(part) for part in β]
-            rate = _one_of(majorant, shares, sampler.next_1d(on))
-            to = dr.select(rate > 0.0, t - dr.log(1.0 - sampler.next_1d(on)) / rate, dr.inf)
-            met = on & (to < end)
-            passed = dr.select(majorant > 0.0, dr.exp(-majorant * dr.maximum(dr.minimum(to, end) - t, 0.0)), 1.0)
-            density = _weighted(dr.select(met, majorant, 1.0) * passed, shares)
-            β = dr.select(on, _over(β * passed * dr.sum(shares), density), β)
+            passed = dr.select(majorant > 0.0, dr.exp(-majorant * dr.maximum(end - t, 0.0)), 1.0)
+            stops, goes = _weighted(kept * (1.0 - passed), shares), _weighted(passed, shares)
+            met = on & (sampler.next_1d(on) * (stops + goes) < stops)
+            of_channels = [share * part * (1.0 - p) for share, part, p in zip(shares, kept, passed, strict=True)]
+            rate, part = _one_of((majorant, passed), of_channels, sampler.next_1d(on))
+            to = t - dr.log(1.0 - sampler.next_1d(on) * (1.0 - part)) / rate
+            crossed = dr.select(met, dr.exp(-majorant * dr.maximum(to - t, 0.0)), passed)
+            density = dr.select(met, _weighted(kept * majorant * crossed, shares), goes)
+            β = dr.select(on, _over(β * crossed * (stops + goes), density), β)
 
             place = self._place(ray, to, medium)
-            scattering, fictitious, extinction = medium.get_scattering_coefficients(place, met)
+            scattering, fictitious, _ = medium.get_scattering_coefficients(place, met)
             shares = [dr.abs(part) for part in β]
-            real, null = _weighted(extinction, shares), _weighted(dr.maximum(fictitious, 0.0), shares)
+            real, null = _weighted(scattering, shares), _weighted(dr.maximum(fictitious, 0.0), shares)
             hit = met & (sampler.next_1d(met) * (real + null) < real)
-            β = dr.select(
-                met, _over(β * dr.select(hit, scattering, fictitious) * (real + null), dr.select(hit, real, null)), β
-            )
+            change = dr.select(hit, scattering, fictitious) * (real + null)
+            β = dr.select(met, _over(β * change, dr.select(hit, real, null)), β)
             goes_on = met & ~hit & (dr.max(dr.abs(β)) > 0.0)
             return sampler, goes_on, dr.select(met, to, t), mi.UnpolarizedSpectrum(β), scattered | hit
 
@@ -312,13 +321,14 @@ def medium_at(mi: Any, scene: Any, points: Any) -> Any:
     return medium
 
 
-def _one_of(values: Any, shares: list[Any], u: Any) -> Any:
-    """One channel of a spectrum, drawn by the shares of channels."""
+def _one_of(spectra: tuple[Any, ...], shares: list[Any], u: Any) -> list[Any]:
+    """One channel of some spectra, the same of each, drawn by the shares of channels."""
     import drjit as dr
 
-    chosen, below, drawn = values[0], shares[0], u * dr.sum(shares)
-    for value, share in zip(list(values)[1:], shares[1:], strict=True):
-        chosen = dr.select(drawn >= below, value, chosen)
+    chosen, below, drawn = [spectrum[0] for spectrum in spectra], shares[0], u * dr.sum(shares)
+    for channel, share in enumerate(shares[1:], start=1):
+        here = drawn >= below
+        chosen = [dr.select(here, spectrum[channel], one) for spectrum, one in zip(spectra, chosen, strict=True)]
         below = below + share
     return chosen
 

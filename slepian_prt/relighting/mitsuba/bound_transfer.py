@@ -12,12 +12,12 @@ from slepian_prt.errors import UserError
 from slepian_prt.paths.lobes import PLAIN, material_kind
 from slepian_prt.relighting.mitsuba.bounced_light import BouncedLight
 from slepian_prt.relighting.mitsuba.held_files import HeldFile
+from slepian_prt.relighting.mitsuba.missing_light import unknown_effects
 from slepian_prt.relighting.mitsuba.remarks import log_warning
 from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
 from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
 from slepian_prt.scene.reflectance.materials import diffuse_reflectance
-from slepian_prt.transport.effects import OMITTED, SIMULATED
 
 # Warned of: mean reflectance of a material below this, where the file knows none; fraction of negative vertices above.
 _ALL_REFLECTED = 0.99
@@ -143,7 +143,7 @@ class BoundTransfer:
         """Shapes of the scene that is bound that are surely held wherever they are met, and on how many sides."""
         return [(shape, part.sides) for shape, part in self._matched.meshes]
 
-    def warnings(self, scene: Any, albedo: str, *, media: bool) -> list[str]:
+    def warnings(self, scene: Any, albedo: str, effects: tuple[str, ...]) -> list[str]:
         """What of the scene that is bound is drawn otherwise than it says.
 
         Parameters
@@ -151,15 +151,15 @@ class BoundTransfer:
         scene : Mitsuba scene
         albedo : str
             Of the integrator.
-        media : bool
-            Whether there are participating media in the scene.
+        effects : tuple of str
+            `scene_effects` of the scene.
         """
         texts = []
-        if media and not any(
-            row.name == "media" and row.verdict in (SIMULATED, OMITTED) for row in self.packed.effects
-        ):
+        unknown = unknown_effects(self.packed, effects)
+        if unknown:
             texts.append(
-                f"{self.name} knows no participating media: they are drawn, but its shapes lit as without them"
+                f"{self.name} was made without {', '.join(unknown)}: what these send onto its shapes, or keep from "
+                "them, is missing; precompute the scene"
             )
         if self._bounced.unknown:
             names = ", ".join(self._bounced.unknown)

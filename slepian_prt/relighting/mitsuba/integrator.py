@@ -21,6 +21,7 @@ from slepian_prt.relighting.mitsuba.gathering import Gatherer
 from slepian_prt.relighting.mitsuba.held_files import held_file, is_in_memory
 from slepian_prt.relighting.mitsuba.lamps import Lamps
 from slepian_prt.relighting.mitsuba.lobes import Lobes
+from slepian_prt.relighting.mitsuba.missing_light import scene_effects
 from slepian_prt.relighting.mitsuba.recording import without_collection
 from slepian_prt.relighting.mitsuba.spectra import smooth_spectra, without_polarization
 from slepian_prt.renderer.variants import imported_mitsuba
@@ -325,9 +326,8 @@ class SlepianIntegrator:
                 mi, self._cache, self._lobes, lamps, self._media, through=through, fixed_lights=self._fixed_lights,
                 max_depth=self._max_depth, rr_depth=self._rr_depth,
             )  # fmt: skip
-        texts = [
-            text for transfer in bound for text in transfer.warnings(scene, self._albedo, media=self._media.present)
-        ]
+        effects = scene_effects(mi, materials, media=self._media.present)
+        texts = [text for transfer in bound for text in transfer.warnings(scene, self._albedo, effects)]
         for text in texts:
             if text not in self._warnings:  # shapes that move are matched again for every picture
                 self._warnings.add(text)

@@ -35,19 +35,32 @@ def test_a_file_without_materials_is_told_of(mi, folder, tmp_path, log):
     assert not log
 
 
-@pytest.mark.parametrize("verdict", [None, "not simulated", "omitted", "simulated"])
-def test_media_are_told_of_that_a_file_does_not_know(verdict, mi, folder, log):
-    """Files that were made without them; not those whose plan has decided about them."""
-    fog = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous"}}
-    packed = packed_of(folder)
-    rows = () if verdict is None else (Effect("media", verdict, 0.1, 0.01, 1000, ""),)
-    scene = mi.load_dict({"type": "scene", "bumpy": shape(mi, folder), "fog": fog, "sensor": camera(mi)})
-    lit = {"lighting": np.ones((3, 49))}
-    integrator = scene_integrator(mi, replace(packed, effects=(*packed.effects, *rows), source="bumpy.prt"), **lit)
-    picture(mi, scene, integrator=integrator, spp=1)
-    told = "bumpy.prt knows no participating media: they are drawn, but its shapes lit as without them"
-    wanted = [] if verdict in ("omitted", "simulated") else [f"slepian_prt: {told}"]
-    assert [text for text in log if "media" in text] == wanted
+FOG = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous"}}
+GLASS = {"type": "sphere", "bsdf": {"type": "dielectric"}}
+
+
+@pytest.mark.parametrize(
+    ("source", "rows", "missing"),
+    [
+        ("bumpy.ply", {}, "fog, smoke and the like, glass"),
+        ("bumpy.ply", {"media": "omitted", "glass": "simulated"}, None),
+        ("bumpy.xml", {}, None),
+        ("bumpy.xml", {"media": "simulated", "glass": "not simulated"}, "glass"),
+        ("bumpy.xml", {"participating media inside shape 'fog'": "not simulated"}, "fog, smoke and the like, glass"),
+    ],
+    ids=["mesh", "planned", "scene", "failed", "before"],
+)
+def test_light_is_told_of_that_a_file_was_made_without(source, rows, missing, mi, folder, log):
+    """Of files of meshes, and of scenes whose plan said so; where a plan has no word of it, nothing reaches them."""
+    effects = [Effect(name, verdict, 0.1, 0.01, 1000, "") for name, verdict in rows.items()]
+    packed = replace(packed_of(folder), effects=tuple(effects), source=source)
+    scene = mi.load_dict(
+        {"type": "scene", "bumpy": shape(mi, folder), "fog": FOG, "glass": GLASS, "sensor": camera(mi)}
+    )
+    picture(mi, scene, integrator=scene_integrator(mi, packed, lighting=np.ones((3, 49))), spp=1)
+    told = f"slepian_prt: {source} was made without {missing}: what these send onto its shapes, or keep from them, is "
+    told += "missing; precompute the scene"
+    assert [text for text in log if "made without" in text] == ([told] if missing else [])
 
 
 def test_remarks_are_bare_sentences_and_made_once(mi, folder, log):
