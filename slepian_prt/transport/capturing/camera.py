@@ -15,7 +15,7 @@ from slepian_prt.scene.mitsuba.scenes import wanted_sensor
 _CAMERAS = ("PerspectiveCamera", "ThinLensCamera", "OrthographicCamera")
 
 # Cells that a reconstruction filter is tabulated in.
-_CELLS = 2048
+_CELLS = 256
 
 # Corners of a film whose directions span less than this are taken for equally far.
 _PARALLEL = 1e-3

@@ -11,9 +11,10 @@ from slepian_prt.transport.capturing.guides import Guides
 from slepian_prt.transport.smoothing import mean_over_neighbours, smooth, variance_of_paths
 
 # Differences across which little is averaged, beside those of normals: of reflectance, of the logarithm of distance,
-# of the part of a pixel that is covered; and between shapes.
+# of the part of a pixel that is covered. Between shapes nothing is averaged in any band: their numbers are in the order
+# in which threads of Mitsuba loaded them, and must not count.
 _NORMALS, _ALBEDO, _DEPTH, _COVERAGE = 0.15, 0.1, 0.1, 0.25
-_APART = 10.0
+_APART = 100.0
 
 # The size of the noise is told by how much passes differ, over so many rings of pixels; where it is, by second moments,
 # over fewer.
