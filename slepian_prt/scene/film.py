@@ -75,7 +75,7 @@ class Film:
         return np.asarray(looks / np.linalg.norm(looks, axis=-1, keepdims=True), dtype=np.float32)
 
     def relative_noise(self, energy: NDArray[np.float64], power: NDArray[np.float64]) -> float:
-        """Relative RMS noise of the picture, averaged over the rotations of a light.
+        """Relative RMS noise of the picture, averaged over the rotations of a light; 1 where all there is can be noise.
 
         Parameters
         ----------
@@ -84,9 +84,8 @@ class Film:
         power : (L+1,)
             Of the light, per harmonic.
         """
-        noise = float(power @ self.noise_power)
-        signal = float(power @ energy) - noise
-        return math.sqrt(noise / signal) if signal > 0.0 else 0.0
+        noise, whole = float(power @ self.noise_power), float(power @ energy)
+        return math.sqrt(noise / max(whole - noise, noise)) if noise > 0.0 else 0.0
 
     def at_bandlimit(self, bandlimit: int) -> Film:
         """The same with what is known of fewer degrees."""

@@ -92,4 +92,5 @@ def test_noise_relative_to_what_is_no_noise():
     power = np.array([1.0, 0.5, 0.25])
     energy = np.array([10.0, 6.0, 4.0])
     assert film.relative_noise(energy, power) == pytest.approx(np.sqrt(2.75 / (14.0 - 2.75)))
-    assert film.relative_noise(np.zeros(3), power) == 0.0
+    assert film.relative_noise(np.array([1.0, 1.0, 1.0]), power) == 1.0  # all of it can be noise
+    assert film_of().relative_noise(energy, power) == 0.0
