@@ -20,10 +20,10 @@ from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import SIMULATED, Effect
-from slepian_prt.transport.fixed_lights import bounced_light, direct_fixed_lights
-from slepian_prt.transport.glossy import merge_equal_channels
-from slepian_prt.transport.interior import InteriorVertices, find_interior
-from slepian_prt.transport.interreflection import GATHER_SHARE, add_bounces, count_bounces, gather_operator
+from slepian_prt.transport.exchange import add_indirect, exchange_light
+from slepian_prt.transport.fixed_lights import direct_fixed_lights
+from slepian_prt.transport.glossy import merge_equal_channels, toward_camera
+from slepian_prt.transport.interior import find_interior
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 
@@ -158,6 +158,7 @@ def precompute(
     seed: int = 0,
     crease_angle: float | None = None,
     parameters: Mapping[str, object] | None = None,
+    smooth: bool = True,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Transfer:
@@ -190,6 +191,9 @@ def precompute(
         Degrees: edges of a mesh file sharper than this are hard, where the file gives no normals. By default none is.
     parameters : dict of str to number, bool or str, optional
         Values of the parameters of an .xml scene, which stand there as ``$name``.
+    smooth : bool
+        Whether noise of light that comes by way of mirrors, glass and the like is taken out along the surface, as far
+        as it was measured.
     on_plan : callable
         Given the effects plan before the heavy work begins.
     advance : callable
@@ -202,9 +206,20 @@ def precompute(
     ValueError
         Bandlimit, samples, bounces or effects out of range.
     """
-    settings = TransportSettings(bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle, parameters)
+    settings = TransportSettings(
+        bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle, parameters, smooth
+    )
     with plan_scene(scene, settings, on_plan) as planned:
         return compute_transfer(planned, advance)
+
+
+def _work(planned: PlannedScene) -> int:
+    """Receivers that stages finish, all stages together."""
+    plan, total = planned.plan, len(planned.scene.receivers)
+    if plan.view is not None:
+        return total + (int(toward_camera(planned.scene, plan.view)[1].sum()) if plan.interreflection else 0)
+    total += int(np.sum(~planned.within_media[plan.shadowed])) if plan.interreflection else 0
+    return total + (plan.paths.receivers.size if plan.paths is not None else 0)
 
 
 def compute_transfer(
@@ -220,7 +235,7 @@ def compute_transfer(
     """
     scene, plan, settings = planned.scene, planned.plan, planned.settings
     receivers, mesh = scene.receivers, scene.mesh
-    total = len(receivers) + (plan.shadowed.size if plan.interreflection else 0)
+    total = _work(planned)
 
     def report(done: int) -> None:
         advance(done, total)
@@ -229,6 +244,8 @@ def compute_transfer(
     whole = estimator.estimate(advance=report)
     vectors, blocked, rays = merge_equal_channels(whole.vectors), whole.blocked, whole.rays
     del whole  # three channels that were the same need not stay
+    if planned.within_media.any():
+        vectors[planned.within_media], blocked[planned.within_media] = 0.0, 1.0
     interior = find_interior(scene, np.flatnonzero((blocked >= 1.0) & receivers.active))
     interior.fill(vectors)
     interior.fill(blocked)
@@ -237,11 +254,15 @@ def compute_transfer(
     if fixed is not None:
         planned.clock.stop("fixed lights")
     rays += fixed_rays
-    bounces = 0
-    if plan.interreflection:
-        vectors, fixed, bounces, gathered = _reflect(planned, vectors, fixed, blocked, interior, report)
-        rays += gathered
-        planned.clock.stop("interreflection")
+    bounces, noise = 0, None
+    if plan.view is not None and plan.interreflection:
+        toward = add_indirect(planned, vectors, report)
+        vectors, bounces, noise = toward.vectors, toward.bounces, toward.noise
+        rays += toward.rays
+    elif plan.interreflection or plan.paths is not None:
+        exchanged = exchange_light(planned, vectors, fixed, blocked, interior, report)
+        vectors, fixed, bounces, noise = exchanged.vectors, exchanged.fixed, exchanged.bounces, exchanged.noise
+        rays += exchanged.rays
     if plan.view is not None:
         mesh = replace(mesh, albedo=np.ones_like(mesh.albedo))  # the reflectance is in the vectors
     return Transfer(
@@ -262,31 +283,5 @@ def compute_transfer(
         view=scene.view,
         toward_view=plan.view is not None,
         fixed=fixed,
+        noise=noise,
     )
-
-
-def _reflect(
-    planned: PlannedScene,
-    vectors: NDArray[np.float32],
-    fixed: FixedLights | None,
-    blocked: NDArray[np.float32],
-    interior: InteriorVertices,
-    report: Callable[[int], None],
-) -> tuple[NDArray[np.float32], FixedLights | None, int, int]:
-    """Vectors and light of lamps with what surfaces reflect onto each other; the number of bounces, and of rays."""
-    scene, plan, settings = planned.scene, planned.plan, planned.settings
-    receivers = scene.receivers
-    nodes = max(1, round(GATHER_SHARE * settings.samples))
-    gather = gather_operator(scene, nodes, plan.shadowed, blocked, settings.seed + 1, report)
-    if settings.bounces is not None:
-        bounces = settings.bounces
-    else:
-        bounces = count_bounces(gather, receivers.albedo, np.where(receivers.active, 1.0 - blocked, 0.0))
-    vectors = add_bounces(gather, receivers.albedo, vectors[:, 0], plan.channels, bounces)
-    interior.fill(vectors)
-    if fixed is not None:
-        bounced = bounced_light(gather, receivers.albedo, fixed.direct, plan.channels, settings.bounces)
-        for light in bounced:
-            interior.fill(light)
-        fixed = replace(fixed, bounced=bounced)
-    return vectors, fixed, bounces, gather.rays
