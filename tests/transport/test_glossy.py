@@ -16,6 +16,7 @@ from slepian_prt.transport.transfer import precompute
 from tests.conftest import ROOT
 from tests.numerics import assert_rounded
 from tests.statistics import assert_agree
+from tests.transport.test_path_light import smooth_light
 
 AMBIENT = math.sqrt(4 * math.pi)
 
@@ -43,7 +44,7 @@ def write(tmp_path):
 @pytest.mark.slow
 def test_of_diffuse_materials_it_is_diffuse_transfer_times_the_albedo(write):
     path = write(scene_of('<bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.2, 0.1"/></bsdf>'))
-    toward = precompute(path, 5, 2048, view="front")
+    toward = precompute(path, 5, 2048, effects="direct", view="front")
     plain = precompute(path, 5, 2048, effects="direct")
     seen = toward.axes.any(axis=1)
     expected = plain.vectors[seen] * plain.mesh.albedo[seen, :, None]
@@ -72,7 +73,7 @@ def test_agrees_with_the_path_tracer(kind, write):
     theta = np.linspace(0.0, np.pi, 32)[:, None, None]
     phi = (np.arange(64) + 0.5)[None, :, None] / 64 * 2 * np.pi
     light = make_environment((1.0 + 0.7 * np.cos(theta) + 0.2 * np.sin(phi) * np.sin(theta)) * np.ones(3))
-    transfer, other = (precompute(path, 2, 1024, view="front", seed=seed) for seed in (0, 1))
+    transfer, other = (precompute(path, 2, 1024, effects="direct", view="front", seed=seed) for seed in (0, 1))
     relit, again = (relight(one, project_environment(light, 2)) for one in (transfer, other))
     with open_scene(path, view="front") as scene:
         runs = [
@@ -93,6 +94,32 @@ def test_agrees_with_the_path_tracer(kind, write):
     assert_agree(relit[ball][seen].mean(axis=0)[None], reference.mean(axis=1), bias=0.5 * own)
 
 
+@pytest.mark.slow
+def test_indirect_light_agrees_with_the_path_tracer():
+    """Of the shipped scene's floor, metal, plastic and principled surfaces, all bounces by all materials."""
+    path, light = ROOT / "scenes" / "glossy.xml", smooth_light()
+    transfer = precompute(path, 3, 256, view="front")
+    assert {row.name: row.verdict for row in transfer.effects}["interreflection"] == "simulated"
+    assert not any(row.name.startswith("light onto other surfaces") for row in transfer.effects)
+    assert 0.0 < transfer.noise < 0.05
+    relit = relight(transfer, project_environment(light, 3))
+    with open_scene(path, view="front") as scene:
+        runs = [
+            vertex_reference(scene, light, noise=1.0, bounces=64, view=transfer.view, seed=seed).radiance
+            for seed in range(8)
+        ]
+    reference = np.stack(runs).astype(np.float64)
+    mean, deviation = reference.mean(axis=0), reference.std(axis=0, ddof=1) / math.sqrt(len(runs))
+    for part in transfer.parts:
+        own = np.flatnonzero(mean[part.first : part.end].max(axis=1) > 0.01) + part.first
+        difference = (relit - mean)[own]
+        # What is smoothed is off by about its noise, and outlines by their facets.
+        z = difference / np.hypot(deviation[own], transfer.noise * mean[own].mean())
+        assert abs(z.mean()) < 0.1
+        assert np.mean(np.abs(z) > 3.0) < 0.03
+        assert abs(difference.mean()) < 0.01 * mean[own].mean()
+
+
 def test_lobes_are_clustered_by_reflection(write):
     """Twice the angle of the normal from the view: the identification (2θ, φ) of the paper."""
     transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 4, 256, view="front")
@@ -108,7 +135,7 @@ def test_lobes_are_clustered_by_reflection(write):
 def test_compresses_and_comes_back(write, tmp_path):
     from slepian_prt.compression.prt_file import load
 
-    transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 6, 256, view="front")
+    transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 6, 256, effects="direct", view="front")
     packed = compress(transfer, tolerance=0.05, clusters=24)
     original = transfer.vectors if packed.channels == 3 else transfer.vectors[:, 0]
     error = np.linalg.norm(packed.reconstruct() - original) / np.linalg.norm(original)
