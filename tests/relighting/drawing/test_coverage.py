@@ -70,7 +70,8 @@ def test_fog_is_as_opaque_as_it_is_thick(ball, white, tmp_path):
     shape = SHEET.format("cube", '<bsdf type="null"/>' + FOG.format("interior", 0.2, 1.0))
     *radiance, alpha = middle(ball, white, tmp_path / "fog.xml", shape, fov=5.0)
     assert abs(alpha - (1.0 - np.exp(-0.8))) < 0.016
-    np.testing.assert_allclose(radiance, alpha, rtol=1e-3)
+    # Light is looked for and met by chance: of deviation .5 at most.
+    np.testing.assert_allclose(radiance, alpha, atol=0.016)
 
 
 @pytest.mark.parametrize("declared", [True, False])
@@ -91,4 +92,4 @@ def test_a_camera_may_be_in_a_medium(declared, ball, white, tmp_path):
     ahead = 4.0 + np.sqrt(60.0**2 - 40.0**2)
     # 16,384 samples, of deviation .3: four deviations of their mean. A field of 5 degrees is 0.1 % longer at its sides.
     assert abs(alpha - (1.0 - np.exp(-0.05 * ahead))) < 0.01
-    np.testing.assert_allclose(radiance, alpha, rtol=0.01)  # roulette gives light of several bounces its noise
+    np.testing.assert_allclose(radiance, alpha, atol=0.016)
