@@ -94,6 +94,7 @@ class FirstRays:
             medium = dr.gather(mi.MediumPtr, media_around(self._scene, vertices), place)
             within = mi.Bool(medium != mi.MediumPtr(None))
             effect = dr.select(within, 1 + PATHS.index("media"), effect)
+        dr.eval(place, ray, hit, effect, within)  # at once: each array that is gathered from would be traced by its own
         lane: Any = dr.compress(dr.gather(mi.Bool, self._wanted, effect))
         lanes = np.array(lane, dtype=np.int64)
         if lanes.size and medium is not None:

@@ -46,6 +46,8 @@ def trace_lamp_paths(
     scene: Scene, groups: list[Group], vertices: NDArray[np.int64], samples: int, effects: Iterable[str], seed: int
 ) -> BroughtLight:
     """What lamps send to ``vertices`` on paths that go on by some effects; other arguments as of `trace_paths`."""
+    import drjit as dr
+
     geometry = shining_geometry(scene)
     held = _HeldOrShining(scene, geometry)
     first = FirstRays(scene, geometry, held, samples, effects, seed)
@@ -60,6 +62,7 @@ def trace_lamp_paths(
         if gone.lanes.size:
             sampler = first.sampler(block, gone.lanes.size)
             ends = tracer.follow(sampler, gone.ray, hit=gone.hit, medium=gone.medium, first_known=gone.first_known)
+            dr.eval(ends.points, ends.found)  # together: the loop would run once for each
             rays += int(np.array(ends.points, dtype=np.int64).sum())
             row = done + gone.lanes // samples
             half = (gone.lanes % samples >= samples // 2).astype(np.int64)

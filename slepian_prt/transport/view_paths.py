@@ -98,6 +98,7 @@ class _ViewPaths:
         mi = self._scene.mi
         ray, weight, shown = self._first(number, vertices)
         hit = self._scene.geometry.ray_intersect_preliminary(ray)
+        dr.eval(weight, ray, hit, shown)  # at once: each array that is gathered from would be traced by its own
         lane: Any = dr.compress((dr.max(dr.abs(weight)) > 0.0) & ~(shown & ~hit.is_valid()))
         lanes, rays = np.array(lane, dtype=np.int64), vertices.size * self._samples
         none, colours = np.zeros(0, np.int64), np.zeros((0, 3), np.float32)
