@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from slepian_prt.transport.capturing.guides import Guides, look_at_surfaces
 from slepian_prt.transport.capturing.lamp_pictures import LampPictures, picture_lamps
 from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, collect, film_of, fingerprint, noise_of
 from slepian_prt.transport.capturing.pixel_means import PixelMeans, kept_means
+from slepian_prt.transport.capturing.remarks import remark_on_light, remark_on_media
 from slepian_prt.transport.capturing.settings import CaptureSettings
 from slepian_prt.transport.planned import Clock
 from slepian_prt.transport.smoothing import relative_noise
@@ -33,8 +33,6 @@ from slepian_prt.transport.transfer import Transfer
 
 if TYPE_CHECKING:
     from slepian_prt.scene.loading import SceneSource
-
-log = logging.getLogger(__name__)
 
 
 def capture(
@@ -118,6 +116,8 @@ def open_capture(
         with silent(mi):
             own, lamps = distant_light(mi, loaded.emitters(), name), lamps_of(mi, loaded, name)
         job = Job(mi, loaded, name, camera, CameraRays(mi, camera), settings, power)
+        with silent(mi):
+            remark_on_media(mi, loaded, name)
         clock.stop("load")
         with kept_means(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as held:
             finish = _Finish(job, held, look_at_surfaces(mi, loaded, job.rays), own, lamps)
@@ -184,8 +184,7 @@ class _Finish:
         """The result."""
         job, settings, film = self.job, self.job.settings, film_of(self.job, pixels)
         axes = axes_of(self.held.vectors(), self.guides.normals)
-        if not film.coverage.any():
-            log.info("%s: camera '%s' sees nothing of the scene; the picture is its background", job.name, film.name)
+        remark_on_light(job.name, film, pixels, pictures)
         return Transfer(
             vectors=pixels.vectors,
             axes=axes,

@@ -138,7 +138,7 @@ def _allocate(file: IO[bytes], size: int) -> None:
         with contextlib.suppress(OSError):
             file.truncate(before.st_size)
         raise UserError(
-            f"{file.name}: cannot be written ({error.strerror or error}; it takes {size / 1e9:.1f} GB); free some "
+            f"{file.name}: cannot be written ({error.strerror or error}), and takes {size / 1e9:.1f} GB; free some "
             "space, capture fewer pixels or a lower `bandlimit`, or set SLEPIAN_PRT_CACHE to a folder on another disk"
         ) from None
 
