@@ -184,7 +184,7 @@ class _Finish:
         """The result."""
         job, settings, film = self.job, self.job.settings, film_of(self.job, pixels)
         axes = axes_of(self.held.vectors(), self.guides.normals)
-        remark_on_light(job.name, film, pixels, pictures)
+        remark_on_light(job.name, film, pixels, pictures, passes * settings.per_pass)
         return Transfer(
             vectors=pixels.vectors,
             axes=axes,

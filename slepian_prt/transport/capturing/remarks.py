@@ -14,13 +14,14 @@ from slepian_prt.scene.film import Film
 from slepian_prt.transport.capturing.denoising import Pixels
 from slepian_prt.transport.capturing.lamp_pictures import LampPictures
 from slepian_prt.transport.capturing.pixel_means import BlockMeans
+from slepian_prt.transport.smoothing import variance_of_paths
 
 log = logging.getLogger(__name__)
 
 _WHITE = math.sqrt(4.0 * math.pi)
 
 # More than so much under a sky of 1 is worth a remark, in so many pixels, if it is so many standard deviations more.
-_TOO_BRIGHT, _SOME, _SURE = 1.1, 0.01, 4.0
+_TOO_BRIGHT, _SOME, _SURE = 1.1, 0.01, 3.0
 
 # What squares of fit into float32, thousands of them.
 _LARGEST = 1e16
@@ -46,7 +47,7 @@ def check_means(name: str, means: BlockMeans) -> None:
         )
 
 
-def remark_on_light(name: str, film: Film, pixels: Pixels, pictures: LampPictures | None) -> None:
+def remark_on_light(name: str, film: Film, pixels: Pixels, pictures: LampPictures | None, samples: int) -> None:
     """Tell of a picture that is all background, or all dark; of light that grows; of lamps that light nothing."""
     sees_sky, sees_lamps = bool(pixels.vectors.any()), pictures is not None and bool(pictures.radiance.any())
     if not film.coverage.any() and not sees_lamps:
@@ -58,7 +59,7 @@ def remark_on_light(name: str, film: Film, pixels: Pixels, pictures: LampPicture
             name,
             film.name,
         )
-    _remark_on_energy(name, pixels)
+    _remark_on_energy(name, pixels, samples)
     if pictures is not None:
         for lamp, radiance in zip(pictures.lamps, pictures.radiance, strict=True):
             if not radiance.any():
@@ -71,10 +72,14 @@ def remark_on_light(name: str, film: Film, pixels: Pixels, pictures: LampPicture
                 )
 
 
-def _remark_on_energy(name: str, pixels: Pixels) -> None:
+def _remark_on_energy(name: str, pixels: Pixels, samples: int) -> None:
     """Say so if there is more light than comes in: as much as under a sky of 1 is all that materials can send."""
-    under_one = pixels.vectors[:, :, 0] * _WHITE + pixels.background
-    surely = (under_one - _SURE * _WHITE * np.sqrt(pixels.variance[:, :, 0])).max(axis=1)
+    under_one = pixels.vectors[:, :, 0] * _WHITE
+    # A few passes, or paths, hardly tell the noise of a pixel: it is no less than both say, and than that of others.
+    foreseen = variance_of_paths(pixels.moments, pixels.vectors, samples)[:, :, 0]
+    variance = np.maximum(foreseen, pixels.variance[:, :, 0])
+    variance = np.maximum(variance, np.median(variance, axis=0))
+    surely = (under_one - _SURE * _WHITE * np.sqrt(variance)).max(axis=1)
     bright = surely > _TOO_BRIGHT
     if bright.sum() > _SOME * bright.size:
         log.info(
@@ -102,7 +107,7 @@ def remark_on_media(mi: Any, scene: Any, name: str) -> None:
         except RuntimeError:  # some shapes have no points to choose from
             continue
         inward = mi.Frame3f(-place.n).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
-        lost = float(dr.mean(dr.select(scene.ray_test(place.spawn_ray(inward)), 0.0, 1.0))[0])
+        lost = 1.0 - float(np.mean(np.array(scene.ray_test(place.spawn_ray(inward)))))
         if lost > _CRACKS:
             log.info(
                 "%s: the medium within '%s' has no end: %.0f %% of the rays into it meet no boundary; close the shape",

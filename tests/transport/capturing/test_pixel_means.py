@@ -114,7 +114,7 @@ def test_two_processes_do_not_share_their_means(rng):
 def test_means_that_do_not_fit_are_refused_and_take_no_space(cache):
     width = 1 << 40  # pixels: no disk is as large
     with (
-        pytest.raises(UserError, match="cannot be written .* GB\\); free some space"),
+        pytest.raises(UserError, match=r"cannot be written .* GB; free some space"),
         kept_means("a", width, width, 0),
     ):
         pass
