@@ -117,7 +117,7 @@ def open_capture(
             own, lamps = distant_light(mi, loaded.emitters(), name), lamps_of(mi, loaded, name)
         job = Job(mi, loaded, name, camera, CameraRays(mi, camera), settings, power)
         with silent(mi):
-            remark_on_media(mi, loaded, name)
+            remark_on_media(mi, loaded, name, job.rays)
         clock.stop("load")
         with kept_means(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as held:
             finish = _Finish(job, held, look_at_surfaces(mi, loaded, job.rays), own, lamps)

@@ -11,6 +11,7 @@ import numpy as np
 from slepian_prt.errors import UserError
 from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.film import Film
+from slepian_prt.transport.capturing.camera import CameraRays
 from slepian_prt.transport.capturing.denoising import Pixels
 from slepian_prt.transport.capturing.lamp_pictures import LampPictures
 from slepian_prt.transport.capturing.pixel_means import BlockMeans
@@ -90,28 +91,38 @@ def _remark_on_energy(name: str, pixels: Pixels, samples: int) -> None:
         )
 
 
-def remark_on_media(mi: Any, scene: Any, name: str) -> None:
+def remark_on_media(mi: Any, scene: Any, name: str, rays: CameraRays) -> None:
     """Tell of media without an end, where paths that get into them stay.
 
-    Where rays that start on a boundary, toward its inside, meet nothing, it does not close, and nothing else closes it.
+    Where rays that start in a medium, at the camera or on a boundary, meet nothing, it is not closed.
     """
     import drjit as dr
 
     sampler = mi.load_dict({"type": "independent", "seed": 0})
     sampler.seed(0, _RAYS)
+    if rays.medium is not None:
+        pixels = mi.UInt32(sampler.next_1d() * (rays.width * rays.height))
+        _remark_on_end(scene, name, "around the camera", rays.middles(pixels))
     for index, shape in enumerate(scene.shapes()):
-        if shape.interior_medium() is None:
-            continue
-        try:
-            place = mi.SurfaceInteraction3f(shape.sample_position(0.0, sampler.next_2d()), dr.zeros(mi.Color0f))
-        except RuntimeError:  # some shapes have no points to choose from
-            continue
-        inward = mi.Frame3f(-place.n).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
-        lost = 1.0 - float(np.mean(np.array(scene.ray_test(place.spawn_ray(inward)))))
-        if lost > _CRACKS:
-            log.info(
-                "%s: the medium within '%s' has no end: %.0f %% of the rays into it meet no boundary; close the shape",
-                name,
-                shape_name(shape, index),
-                100.0 * lost,
-            )
+        sides = ((shape.interior_medium(), "within", -1.0), (shape.exterior_medium(), "around", 1.0))
+        for medium, where, side in sides:
+            if medium is None:
+                continue
+            try:
+                place = mi.SurfaceInteraction3f(shape.sample_position(0.0, sampler.next_2d()), dr.zeros(mi.Color0f))
+            except RuntimeError:  # some shapes have no points to choose from
+                continue
+            away = mi.Frame3f(place.n * side).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
+            _remark_on_end(scene, name, f"{where} '{shape_name(shape, index)}'", place.spawn_ray(away))
+
+
+def _remark_on_end(scene: Any, name: str, where: str, rays: Any) -> None:
+    """Say so if rays into a medium meet nothing."""
+    lost = 1.0 - float(np.mean(np.array(scene.ray_test(rays))))
+    if lost > _CRACKS:
+        log.info(
+            "%s: the medium %s has no end: %.0f %% of the rays into it meet no boundary; put it within a closed shape",
+            name,
+            where,
+            100.0 * lost,
+        )

@@ -96,3 +96,19 @@ def test_water_that_a_basin_closes_has_an_end(mi, told):
         "interior": {"type": "homogeneous", "sigma_t": 1.0, "albedo": 0.5},
     }
     assert "has no end" not in told({"type": "scene", "eye": camera(mi, film_of=film(8)), "a": basin, "b": water})
+
+
+def test_fog_around_a_camera_that_nothing_closes_is_told(mi, told):
+    fog = {"type": "homogeneous", "id": "fog", "sigma_t": 0.1, "albedo": 0.5}
+    same = {"type": "ref", "id": "fog"}
+    floor = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(2),
+        "exterior": same,
+    }
+    scene = {"type": "scene", "fog": fog, "eye": camera(mi, film_of=film(8), medium=same), "floor": floor}
+    words = told(scene)
+    assert "the medium around the camera has no end" in words
+    assert "the medium around 'floor' has no end" in words
+    room = {"type": "sphere", "radius": 20.0, "bsdf": {"type": "null"}, "interior": same}
+    assert told({**scene, "room": room}) == ""
