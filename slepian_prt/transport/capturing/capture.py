@@ -9,8 +9,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.lamps import Lamp, lamps_of
 from slepian_prt.scene.film import film_mesh
@@ -111,6 +112,7 @@ def open_capture(
         Told what is being done.
     """
     clock = Clock()
+    power = None if power is None else _checked_power(power, settings.bandlimit)
     with open_mitsuba(scene, settings.parameters) as (mi, loaded, name):
         camera = find_camera(loaded.sensors(), settings.sensor, name)
         with silent(mi):
@@ -131,6 +133,16 @@ def open_capture(
             pixels = finish.pixels(passes)
             clock.stop("smooth")
             yield finish.transfer(pixels, pictures, passes, dict(clock.seconds))
+
+
+def _checked_power(power: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
+    values = np.asarray(power, dtype=np.float64)
+    if values.shape != (bandlimit + 1,) or not (np.isfinite(values).all() and values.min() >= 0.0 and values.any()):
+        raise UserError(
+            f"`power` must be {bandlimit + 1} numbers for bandlimit {bandlimit}, not negative and not all zero; "
+            "leave it out, or give those of a map"
+        )
+    return values
 
 
 @dataclass(frozen=True, eq=False)
