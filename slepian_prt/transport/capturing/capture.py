@@ -170,6 +170,9 @@ class _Finish:
     def neighbours(self) -> NDArray[np.int64]:
         """(E, 2) pixels side by side."""
         rays = self.job.rays
+        if min(rays.width, rays.height) == 1:  # a line of pixels has no faces
+            line = np.arange(self.job.pixels)
+            return np.stack([line[:-1], line[1:]], axis=1)
         return film_mesh("", rays.width, rays.height, np.zeros((self.job.pixels, 3))).receivers.neighbours
 
     @cached_property
