@@ -1,7 +1,8 @@
 """The container of ``.prt`` files: a zip archive of ``manifest.json`` and one ``.npy`` per array.
 
 Any zip tool lists it, numpy reads its members, nothing in it is executable, and every member has a checksum. Float
-arrays are stored as they are, so that they can be mapped or read in part; the others are deflated.
+arrays are stored as they are, so that they can be mapped or read in part, but for those that are all zero: these and
+the others are deflated.
 """
 
 from __future__ import annotations
@@ -100,4 +101,4 @@ def _npy(array: NDArray) -> bytes:
 
 
 def _compression(array: NDArray) -> int:
-    return zipfile.ZIP_STORED if array.dtype.kind == "f" else zipfile.ZIP_DEFLATED
+    return zipfile.ZIP_STORED if array.dtype.kind == "f" and array.any() else zipfile.ZIP_DEFLATED

@@ -1,5 +1,6 @@
 """Pixels of a film in a file, by an independent reader of its arrays."""
 
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -124,6 +125,9 @@ def test_a_camera_that_sees_nothing(rng, tmp_path):
     dark = replace(transfer, vectors=np.zeros_like(transfer.vectors))
     compress_film(dark).save(tmp_path / "dark.prt")
     assert not relight(load(tmp_path / "dark.prt"), np.ones((3, 16))).any()
+    # What is dark takes no space: less than a coefficient of each pixel would.
+    with zipfile.ZipFile(tmp_path / "dark.prt") as parts:
+        assert parts.getinfo("coefficients.npy").compress_size < WIDTH * HEIGHT
 
 
 def test_transfer_of_a_mesh_is_no_film():

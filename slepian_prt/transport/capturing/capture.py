@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,8 +9,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.lamps import Lamp, lamps_of
 from slepian_prt.scene.film import film_mesh
@@ -26,6 +26,7 @@ from slepian_prt.transport.capturing.guides import Guides, look_at_surfaces
 from slepian_prt.transport.capturing.lamp_pictures import LampPictures, picture_lamps
 from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, collect, film_of, fingerprint, noise_of
 from slepian_prt.transport.capturing.pixel_means import PixelMeans, kept_means
+from slepian_prt.transport.capturing.remarks import remark_on_light, remark_on_media
 from slepian_prt.transport.capturing.settings import CaptureSettings
 from slepian_prt.transport.planned import Clock
 from slepian_prt.transport.smoothing import relative_noise
@@ -33,8 +34,6 @@ from slepian_prt.transport.transfer import Transfer
 
 if TYPE_CHECKING:
     from slepian_prt.scene.loading import SceneSource
-
-log = logging.getLogger(__name__)
 
 
 def capture(
@@ -113,11 +112,14 @@ def open_capture(
         Told what is being done.
     """
     clock = Clock()
+    power = None if power is None else _checked_power(power, settings.bandlimit)
     with open_mitsuba(scene, settings.parameters) as (mi, loaded, name):
         camera = find_camera(loaded.sensors(), settings.sensor, name)
         with silent(mi):
             own, lamps = distant_light(mi, loaded.emitters(), name), lamps_of(mi, loaded, name)
         job = Job(mi, loaded, name, camera, CameraRays(mi, camera), settings, power)
+        with silent(mi):
+            remark_on_media(mi, loaded, name, job.rays)
         clock.stop("load")
         with kept_means(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as held:
             finish = _Finish(job, held, look_at_surfaces(mi, loaded, job.rays), own, lamps)
@@ -131,6 +133,16 @@ def open_capture(
             pixels = finish.pixels(passes)
             clock.stop("smooth")
             yield finish.transfer(pixels, pictures, passes, dict(clock.seconds))
+
+
+def _checked_power(power: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
+    values = np.asarray(power, dtype=np.float64)
+    if values.shape != (bandlimit + 1,) or not (np.isfinite(values).all() and values.min() >= 0.0 and values.any()):
+        raise UserError(
+            f"`power` must be {bandlimit + 1} numbers for bandlimit {bandlimit}, not negative and not all zero; "
+            "leave it out, or give those of a map"
+        )
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +170,9 @@ class _Finish:
     def neighbours(self) -> NDArray[np.int64]:
         """(E, 2) pixels side by side."""
         rays = self.job.rays
+        if min(rays.width, rays.height) == 1:  # a line of pixels has no faces
+            line = np.arange(self.job.pixels)
+            return np.stack([line[:-1], line[1:]], axis=1)
         return film_mesh("", rays.width, rays.height, np.zeros((self.job.pixels, 3))).receivers.neighbours
 
     @cached_property
@@ -184,8 +199,7 @@ class _Finish:
         """The result."""
         job, settings, film = self.job, self.job.settings, film_of(self.job, pixels)
         axes = axes_of(self.held.vectors(), self.guides.normals)
-        if not film.coverage.any():
-            log.info("%s: camera '%s' sees nothing of the scene; the picture is its background", job.name, film.name)
+        remark_on_light(job.name, film, pixels, pictures, passes * settings.per_pass)
         return Transfer(
             vectors=pixels.vectors,
             axes=axes,

@@ -25,6 +25,7 @@ from slepian_prt.transport.capturing.camera import CameraRays
 from slepian_prt.transport.capturing.denoising import Pixels
 from slepian_prt.transport.capturing.pixel_means import PixelMeans
 from slepian_prt.transport.capturing.pixel_paths import LANES, PixelPaths
+from slepian_prt.transport.capturing.remarks import check_means
 from slepian_prt.transport.capturing.settings import CaptureSettings
 from slepian_prt.transport.smoothing import relative_noise
 
@@ -112,6 +113,11 @@ def add_passes(job: Job, held: PixelMeans, noise: Callable[[int], float], advanc
     noise : callable
         Gives the relative noise of what is held, of so many passes.
     advance : as of `capture`
+
+    Raises
+    ------
+    UserError
+        Light is not finite.
     """
     settings, started = job.settings, time.perf_counter()
     kept = [held.passes(block) for block in range(held.blocks)]
@@ -124,7 +130,9 @@ def add_passes(job: Job, held: PixelMeans, noise: Callable[[int], float], advanc
         while done < wanted:
             for block in range(held.blocks):
                 if held.passes(block) == done:
-                    held.add(block, job.paths.trace(held.pixels(block), done))
+                    means = job.paths.trace(held.pixels(block), done)
+                    check_means(job.name, means)
+                    held.add(block, means)
                 advance(len(held.pixels(block)), wanted * job.pixels)
             done += 1
         if settings.is_open:

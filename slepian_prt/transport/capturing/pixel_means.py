@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import math
 import mmap
@@ -63,15 +64,7 @@ class PixelMeans:
         size, bands = num_coefficients(bandlimit), bandlimit + 1
         shapes = ((self.blocks,), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 7))
         begins = np.concatenate([[0], np.cumsum([_padded(4 * math.prod(shape)) for shape in shapes])])
-        try:
-            file.truncate(int(begins[-1]))
-            if hasattr(os, "posix_fallocate"):  # a disk that is full later on would end the process
-                os.posix_fallocate(file.fileno(), 0, int(begins[-1]))
-        except OSError as error:
-            raise UserError(
-                f"{file.name}: cannot be written ({error.strerror or error}); free some space, or set "
-                "SLEPIAN_PRT_CACHE to a folder on another disk"
-            ) from None
+        _allocate(file, int(begins[-1]))
         kinds = (np.uint32, np.float32, np.float32, np.float32)
         tables: list[NDArray[Any]] = [
             np.memmap(file, kind, "r+", int(begin), shape)
@@ -128,6 +121,26 @@ class PixelMeans:
     def _by_degree(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
         """(n, 3, L+1) sums of squares over the orders of each degree."""
         return np.asarray(np.add.reduceat(np.square(vectors), np.arange(self.bandlimit + 1) ** 2, axis=2))
+
+
+def _allocate(file: IO[bytes], size: int) -> None:
+    """Make a file so long, on a disk that has the space: one that is full later on would end the process."""
+    before = os.fstat(file.fileno())
+    try:
+        if hasattr(os, "posix_fallocate"):
+            disk = os.fstatvfs(file.fileno())
+            # Asked before: what does not fit would fill the disk before it fails.
+            if size - 512 * before.st_blocks > disk.f_bavail * disk.f_frsize:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            os.posix_fallocate(file.fileno(), 0, size)
+        file.truncate(size)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            file.truncate(before.st_size)
+        raise UserError(
+            f"{file.name}: cannot be written ({error.strerror or error}), and takes {size / 1e9:.1f} GB; free some "
+            "space, capture fewer pixels or a lower `bandlimit`, or set SLEPIAN_PRT_CACHE to a folder on another disk"
+        ) from None
 
 
 def _padded(size: int) -> int:

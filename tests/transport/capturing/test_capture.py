@@ -309,3 +309,22 @@ def test_scenes_of_other_variants(variant, mi):
             capture(scene)
     finally:
         mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.mark.parametrize("power", [np.ones(4), [1.0, np.nan], [1.0, -1.0], [0.0, 0.0], []])
+def test_power_that_is_no_light_is_refused(mi, power):
+    with pytest.raises(UserError, match="`power` must be 2 numbers for bandlimit 1"):
+        capture(open_box(mi), bandlimit=1, max_error=0.5, power=power)
+
+
+@pytest.mark.parametrize(("width", "height"), [(48, 1), (1, 48)])
+def test_lines_of_pixels_are_smoothed(width, height, mi):
+    line = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(20.0), "bsdf": RED}
+    scene = {"type": "scene", "eye": camera(mi, film_of=line), "floor": floor}
+    noise = [capture(scene, bandlimit=1, samples=16, smooth=smooth).noise for smooth in (False, True)]
+    assert noise[1] < 0.75 * noise[0]
+
+
+def test_a_single_pixel(mi):
+    assert capture(open_box(mi, eye=camera(mi, film_of=film(1))), bandlimit=1, samples=16).vectors.any()

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from slepian_prt.errors import UserError
 from slepian_prt.transport.capturing.pixel_means import BlockMeans, kept_means
 from tests.numerics import assert_exact, assert_rounded
 
@@ -108,3 +109,14 @@ def test_two_processes_do_not_share_their_means(rng):
     ):
         add(one, 0, some_pass(rng, 4))
         assert other.passes(0) == 0
+
+
+def test_means_that_do_not_fit_are_refused_and_take_no_space(cache):
+    width = 1 << 40  # pixels: no disk is as large
+    with (
+        pytest.raises(UserError, match=r"cannot be written .* GB; free some space"),
+        kept_means("a", width, width, 0),
+    ):
+        pass
+    (left,) = cache.iterdir()
+    assert left.stat().st_blocks == 0
