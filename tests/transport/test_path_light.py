@@ -122,8 +122,8 @@ def test_each_effect_alone_agrees_with_the_path_tracer(name, tmp_path):
     )
     difference, noise = means[0] - means[1], np.hypot(errors[0].mean(), errors[1])
     # What is bounced between diffuse surfaces is taken between vertices, and visibility from a grid of directions.
-    # All by paths, media agree with volpath to a ten thousandth; beside the grid half of one is missing in the mean over
-    # all vertices, and two over those that are drawn here with something within.
+    # All by paths, media agree with volpath to a ten thousandth; with the grid half a thousandth is missing in the mean
+    # over all vertices, and two over those that are drawn here with something within.
     known = (4e-3 if name.startswith("media") else 2e-3) * means[1].mean()
     z = difference / np.hypot(noise, known)
     of_mean = math.sqrt(np.sum(np.mean(errors[0], axis=1) ** 2 + np.mean(errors[1], axis=1) ** 2)) / vertices.size
