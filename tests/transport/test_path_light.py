@@ -182,8 +182,6 @@ LAMPS = """<shape type="rectangle" id="lamp"><transform name="to_world"><scale v
 <rgb name="radiance" value="8, 6, 4"/></emitter></shape><emitter type="point" id="bulb">
 <point name="position" x="-1" y="0.3" z="1.5"/><rgb name="intensity" value="1, 2, 4"/></emitter>"""
 LAMP_SCENES = {
-    "gloss": BALL.format('<bsdf type="roughconductor"><float name="alpha" value=".3"/></bsdf>'),
-    "caustics": BALL.format('<bsdf type="dielectric"/>'),
     "caustics and something inside": INSIDE + CASE.format('<bsdf type="roughdielectric"/>'),
     "leaf": SHEET.format(LEAF),
     "holes": SHEET.format(MASK),

@@ -139,7 +139,7 @@ def _checked_power(power: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
     values = np.asarray(power, dtype=np.float64)
     if values.shape != (bandlimit + 1,) or not (np.isfinite(values).all() and values.min() >= 0.0 and values.any()):
         raise UserError(
-            f"`power` must be {bandlimit + 1} numbers for bandlimit {bandlimit}, not negative and not all zero; "
+            f"power must be {bandlimit + 1} numbers for bandlimit {bandlimit}, not negative and not all zero; "
             "leave it out, or give those of a map"
         )
     return values

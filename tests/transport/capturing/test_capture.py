@@ -313,7 +313,7 @@ def test_scenes_of_other_variants(variant, mi):
 
 @pytest.mark.parametrize("power", [np.ones(4), [1.0, np.nan], [1.0, -1.0], [0.0, 0.0], []])
 def test_power_that_is_no_light_is_refused(mi, power):
-    with pytest.raises(UserError, match="`power` must be 2 numbers for bandlimit 1"):
+    with pytest.raises(UserError, match="power must be 2 numbers for bandlimit 1"):
         capture(open_box(mi), bandlimit=1, max_error=0.5, power=power)
 
 
