@@ -26,7 +26,7 @@ from slepian_prt.transport.transfer import Transfer
 _SEED = 17
 
 # By the side of the square that their rays fill: pixels that show small faces, but nothing that ends.
-_SMALL_FACE_STRATA = 3
+_SMALL_FACE_STRATA = 4
 
 # Of rays that need not be counted.
 _NO_WEIGHT = 0.02
@@ -164,7 +164,7 @@ def aim_camera(scene: Scene, aim: Aim | None, width: int, *, toward_view: bool =
 def trace_camera(
     scene: Scene,
     width: int | None = None,
-    strata: int = 5,
+    strata: int = 7,
     *,
     backs: NDArray[np.integer] | None = None,
     detail: SurfaceDetail | None = None,

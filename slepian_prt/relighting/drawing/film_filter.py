@@ -35,8 +35,10 @@ class FilmFilter:
         """That of Mitsuba's film."""
         reconstruction = film.rfilter()
         radius = float(reconstruction.radius())
-        places = (np.arange(2 * _TABULATED) + 0.5) * (radius / _TABULATED) - radius
-        return cls(places, np.array(reconstruction.eval(mi.Float(places)), dtype=np.float64))
+        places = np.linspace(-radius, radius, 2 * _TABULATED, endpoint=False) + 0.5 * radius / _TABULATED
+        return cls(
+            np.asarray(places, dtype=np.float64), np.array(reconstruction.eval(mi.Float(places)), dtype=np.float64)
+        )
 
     @property
     def middle_weight(self) -> float | None:

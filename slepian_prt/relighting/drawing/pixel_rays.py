@@ -109,10 +109,8 @@ class CameraRays:
         step = max(1, _RAYS // dx.shape[1])
         for begin in range(0, len(pixels), step):
             block = slice(begin, begin + step)
-            x, y = (
-                np.float32(part + 0.5)[:, None]
-                for part in (pixels[block] % self.size[0], pixels[block] // self.size[0])
-            )
+            x = (pixels[block] % self.size[0] + 0.5).astype(np.float32)[:, None]
+            y = (pixels[block] // self.size[0] + 0.5).astype(np.float32)[:, None]
             yield block, self.see((x + dx[block]).ravel(), (y + dy[block]).ravel())
 
     def _meet(self, x: Any, y: Any) -> _Met:
@@ -220,7 +218,7 @@ class Corners:
         import drjit as dr
 
         numbers = (self._first_middle, self.columns + 1, self.columns)
-        return tuple(dr.opaque(self._mi.UInt32, number) for number in numbers)  # type: ignore[return-value]
+        return tuple(dr.opaque(self._mi.UInt32, number) for number in numbers)
 
 
 def _gathered(mi: Any, vectors: Any, index: Any, active: Any) -> Any:
