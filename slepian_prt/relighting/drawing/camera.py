@@ -14,7 +14,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.drawing.film_filter import FilmFilter
 from slepian_prt.relighting.drawing.pictures import Picture
-from slepian_prt.relighting.drawing.pixel_rays import OTHER, CameraRays, Corners, Seen, widened
+from slepian_prt.relighting.drawing.pixel_rays import NOTHING, OTHER, CameraRays, Corners, Seen, widened
 from slepian_prt.relighting.drawing.texture_lookup import TextureLookup
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
@@ -211,7 +211,8 @@ def trace_camera(
         small &= ~edge
         few = min(strata, _SMALL_FACE_STRATA)
         pieces += [piece for piece, _ in _sampled_pixels(rays, film_filter, small, few, rng)]
-        pieces += _plain_pixels(corners, np.flatnonzero(~(edge | small)), weight)
+        plain = ~(edge | small).ravel() & (corners.seen.face[corners.first_middle :] != NOTHING)
+        pieces += _plain_pixels(corners, np.flatnonzero(plain).astype(np.int32), weight)
     dr.flush_malloc_cache()
     return _camera(pieces, corners, rays.corners, len(backs), middle_directions(scene.mi, view))
 
@@ -219,12 +220,12 @@ def trace_camera(
 class _Pixels(NamedTuple):
     """Some pixels (n,), ascending, and what each of k rays sees there; ``weights`` (n, k) sum to one."""
 
-    pixels: NDArray[np.int64]
+    pixels: NDArray[np.integer]
     weights: NDArray[np.float32]
     seen: Seen
 
 
-def _plain_pixels(corners: Corners, pixels: NDArray[np.int64], middle_weight: float) -> list[_Pixels]:
+def _plain_pixels(corners: Corners, pixels: NDArray[np.int32], middle_weight: float) -> list[_Pixels]:
     """Pixels of which the middle and the corners tell all; those of one face as if it was met once."""
     weights = np.array([middle_weight, *[0.25 * (1.0 - middle_weight)] * 4], dtype=np.float32)
     rays = corners.around(pixels)

@@ -190,7 +190,7 @@ class Corners:
         self._mi, self._rays = rays.scene.mi, rays
         self.columns, self.rows = rays.size
         mi = self._mi
-        lane = dr.arange(mi.UInt32, self._first_middle + self.columns * self.rows)
+        lane = dr.arange(mi.UInt32, self.first_middle + self.columns * self.rows)
         first_middle, wide, narrow = self._opaque()
         middle = lane >= first_middle
         place = dr.select(middle, lane - first_middle, lane)
@@ -204,11 +204,11 @@ class Corners:
         self._met = rays._meet(mi.Float(place - row * width) + shift.x, mi.Float(row) + shift.y)
         self.seen = self._met.seen()
 
-    def around(self, pixels: NDArray) -> NDArray[np.int64]:
+    def around(self, pixels: NDArray[np.int32]) -> NDArray[np.int32]:
         """(n, 5) rays within pixels and through their corners."""
         first = pixels // self.columns * (self.columns + 1) + pixels % self.columns
         below = first + self.columns + 1
-        return np.stack([self._first_middle + pixels, first, first + 1, below, below + 1], axis=1)
+        return np.stack([self.first_middle + pixels, first, first + 1, below, below + 1], axis=1)
 
     def sort(self, areas: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Pixels (H, W) in which something ends, and those that show faces too small for few rays.
@@ -240,14 +240,15 @@ class Corners:
         return np.array(edge).reshape(shape), np.array(small).reshape(shape)
 
     @property
-    def _first_middle(self) -> int:
+    def first_middle(self) -> int:
+        """Number of the first ray that goes through no corner."""
         return (self.columns + 1) * (self.rows + 1)
 
     def _opaque(self) -> tuple[Any, Any, Any]:
         """The number of the first middle, and how many corners and middles are in a row: the same kernel for any."""
         import drjit as dr
 
-        numbers = (self._first_middle, self.columns + 1, self.columns)
+        numbers = (self.first_middle, self.columns + 1, self.columns)
         return tuple(dr.opaque(self._mi.UInt32, number) for number in numbers)
 
 
