@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import astuple
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +41,8 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
     UserError
         The folder is missing or not writable, or the disk is full.
     """
+    from importlib.metadata import version  # only here: it takes as long to import as a small file to read
+
     manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,
         "channels": packed.channels,
