@@ -153,5 +153,5 @@ def test_an_edge_before_a_parallel_plane_is_an_edge():
         (-0.537 - edges[:-1]) / np.diff(edges), 0, 1
     )
     assert np.count_nonzero((covered > 0.05) & (covered < 0.95)) == 2
-    # Of 36 rays six lie in strata that the edge goes through: a standard deviation of 0.034, in the mean of 8 rows 0.012.
+    # Of 36 rays six lie in strata that the edge goes through: a standard deviation of 0.034, of 8 rows 0.012.
     np.testing.assert_allclose(row, covered, rtol=0.0, atol=4 * 0.012)
