@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters
-from slepian_prt.compression.codec.prediction import Coded
+from slepian_prt.compression.codec.caps import Coded
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation

@@ -13,8 +13,8 @@ from slepian_prt.compression.bases import Candidate
 from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.codec import tuning as codec_tuning
-from slepian_prt.compression.codec.caps import DecodedCap, EncodedCap, encode_cap
-from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE, Coded, Tuning
+from slepian_prt.compression.codec.caps import Coded, DecodedCap, EncodedCap, Tuning, encode_caps
+from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
@@ -161,7 +161,7 @@ def _encode_coded(
         projection.bases,
         expected=expected,
         terms=float(used @ sizes / sizes.sum()),
-        coded=Coded(tuning, tuple(cap.words for cap in encoded)),
+        coded=Coded(tuning, tuple(cap.content for cap in encoded)),
         mean=None if learned.pilot is None else learned.pilot.mean,
         decoded=tuple(cap.decoded for cap in encoded if cap.decoded is not None),
     )
@@ -177,7 +177,7 @@ def _encode_to_distortion(
     if warm_start is None:
         sample = sample_caps(projection.learned, _SAMPLE)
         part = blocks.size(sample) / blocks.size(range(count))
-        tuning = codec_tuning.tune([blocks.in_surface_order(c) for c in sample], wanted * part, finest)
+        tuning = codec_tuning.tune([blocks.coefficients(c) for c in sample], blocks.rows(sample), wanted * part, finest)
     else:
         choices = warm_start.principal_axes or choices
         # Coded once more if it were a little too coarse; a little too fine is good enough.
@@ -187,11 +187,8 @@ def _encode_to_distortion(
     attempts = 0
     while True:
         attempts += 1
-        encoded = [
-            encode_cap(*blocks.in_surface_order(c), tuning, principal_axes=choice, keep=keep)
-            for c, choice in enumerate(choices)
-        ]
-        choices = [cap.principal_axes for cap in encoded]  # a slightly different step does not change what pays
+        encoded = encode_blocks(blocks, tuning, choices, keep)
+        choices = [cap.content.principal_axes for cap in encoded]  # a slightly different step does not change what pays
         distortion = sum(cap.distortion for cap in encoded)
         if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
             best = tuning, encoded
@@ -203,6 +200,18 @@ def _encode_to_distortion(
         # A little less than aimed for is enough.
         step = codec_tuning.next_step(tuning.step, distortion, 0.5 * (1.0 + _CLOSE) * wanted)
         tuning = replace(tuning, step=max(step, finest))
+
+
+def encode_blocks(
+    blocks: CapBlocks, tuning: Tuning, principal_axes: Sequence[bool | None], keep: bool = False
+) -> list[EncodedCap]:
+    """Code all caps, piece by piece; the choices are those of `encode_caps`."""
+    encoded: list[EncodedCap] = []
+    for piece in blocks.pieces():
+        coefficients = [blocks.coefficients(c) for c in piece]
+        choices = [principal_axes[c] for c in piece]
+        encoded += encode_caps(coefficients, blocks.rows(piece), tuning, principal_axes=choices, keep=keep)
+    return encoded
 
 
 def principal_axes_asked(projection: Projection) -> bool | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import astuple
 from importlib.metadata import version
 from pathlib import Path
@@ -13,8 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression import container
 from slepian_prt.compression.clustering import Clusters, clusters_of_sites, frames_of
-from slepian_prt.compression.codec.entropy import MODELS
-from slepian_prt.compression.codec.prediction import CONTEXTS, Coded, Tuning
+from slepian_prt.compression.coded_packing import pack_coded, unpack_coded
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import decode_all
 from slepian_prt.compression.film_packing import pack_film, unpack_film
@@ -113,7 +111,7 @@ def load(path: str | Path) -> CompressedTransfer:
 def _transfer_arrays(packed: CompressedTransfer) -> dict[str, NDArray]:
     arrays = _cluster_arrays(packed.clusters, packed.mesh, packed.coded is not None)
     if packed.coded is not None:
-        arrays |= _coded_arrays(packed.coded)
+        arrays |= pack_coded(packed.coded)
     else:
         arrays["coefficients"] = np.concatenate([values.ravel() for values in packed.coefficients])
     counts = np.array([basis.count for basis in packed.bases], dtype=np.uint16)
@@ -151,16 +149,6 @@ def _cluster_arrays(clusters: Clusters, mesh: Mesh, by_site: bool) -> dict[str, 
     return arrays
 
 
-def _coded_arrays(coded: Coded) -> dict[str, NDArray]:
-    checksums = [[words.size, zlib.crc32(words.astype("<u4").tobytes())] for words in coded.words]
-    return {
-        "coded/words": np.concatenate([np.zeros(0, dtype=np.uint32), *coded.words]),
-        "coded/caps": np.array(checksums, dtype=np.uint32),
-        "coded/shrink": coded.tuning.gains,
-        "coded/models": coded.tuning.models,
-    }
-
-
 def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> CompressedTransfer:
     bandlimit, channels = int(manifest["bandlimit"]), int(manifest["channels"])
     film, mesh = _film_and_mesh(manifest, arrays)
@@ -170,7 +158,7 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
     coded: Coded | None = None
     coefficients: tuple[NDArray, ...] = ()
     if manifest["coding"] == "coded":
-        coded = _coded(arrays, float(manifest["step"]), len(bases))
+        coded = unpack_coded(arrays, float(manifest["step"]), len(bases))
     else:
         lengths = clusters.sizes * terms * channels
         if lengths.sum() != arrays["coefficients"].size:
@@ -262,17 +250,3 @@ def _bases(
         LinearBasis(frame, bandlimit, int(k), m, r, d, t, weights)
         for frame, k, m, r, d, t in zip(frames, terms, orders, radial, dense, mean, strict=True)
     )
-
-
-def _coded(arrays: dict[str, NDArray], step: float, caps: int) -> Coded:
-    lengths = arrays["coded/caps"][:, 0].astype(np.int64)
-    words = np.split(arrays["coded/words"], np.cumsum(lengths)[:-1])
-    if lengths.sum() != arrays["coded/words"].size or len(words) != caps:
-        raise ValueError("number of words")
-    for part, checksum in zip(words, arrays["coded/caps"][:, 1].tolist(), strict=True):
-        if zlib.crc32(part.astype("<u4").tobytes()) != checksum:
-            raise ValueError("checksum of a cap")
-    models = arrays["coded/models"]
-    if models.shape != (CONTEXTS,) or models.max() >= MODELS:
-        raise ValueError("entropy models")
-    return Coded(Tuning(step, arrays["coded/shrink"], models), tuple(words))
