@@ -93,7 +93,8 @@ class Surface:
     def __init__(self, receivers: Receivers) -> None:
         positions, count = receivers.positions, len(receivers)
         self._rank = np.empty(count, dtype=np.int64)
-        self._rank[np.argsort(morton(positions), kind="stable")] = np.arange(count)
+        order = np.arange(count) if receivers.order is None else receivers.order
+        self._rank[order[np.argsort(morton(positions[order]), kind="stable")]] = np.arange(count)
         self._neighbours = _adjacency(receivers.neighbours, count)
         low = positions.min(axis=0)
         extent = float((positions.max(axis=0) - low).max())
