@@ -21,7 +21,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_readable
 
 FORMAT = "slepian_prt transfer"
-VERSION = 2
+VERSION = 3
 
 # A fixed time stamp: the same content gives the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)

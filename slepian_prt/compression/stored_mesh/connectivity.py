@@ -7,6 +7,7 @@ vertices that come back with the same place and number are one; and what is miss
 
 from __future__ import annotations
 
+import importlib
 from typing import NamedTuple
 
 import numpy as np
@@ -160,15 +161,15 @@ def _joined(places: NDArray, copies: NDArray, faces: NDArray) -> tuple[NDArray, 
 
 
 def _encode_draco(places: NDArray, copies: NDArray, faces: NDArray) -> bytes | None:
-    import DracoPy
-
+    package = importlib.import_module("DracoPy")
     attributes = {0: copies.astype(np.uint32)[:, None]} if copies.any() else None
     try:
-        return DracoPy.encode(
+        data = package.encode(
             places.astype(np.uint32), faces.astype(np.uint32), compression_level=_LEVEL, generic_attributes=attributes
         )
-    except Exception:  # noqa: BLE001 (DracoPy raises Exception itself)
+    except Exception:  # DracoPy raises Exception itself
         return None
+    return bytes(data)
 
 
 def _decode_draco(data: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -178,13 +179,12 @@ def _decode_draco(data: bytes) -> tuple[NDArray[np.int64], NDArray[np.int64], ND
     ------
     ValueError
     """
-    import DracoPy
-
+    package = importlib.import_module("DracoPy")
     try:
-        mesh = DracoPy.decode(data)
+        mesh = package.decode(data)
         attributes = {int(a["attribute_type"]): np.asarray(a["data"]) for a in mesh.attributes}
         places, faces = attributes[_POSITION], np.asarray(mesh.faces, dtype=np.int64)
-    except Exception as error:  # noqa: BLE001 (as above)
+    except Exception as error:  # as above
         raise ValueError(f"mesh of Draco ({error})") from None
     copies = attributes[_GENERIC][:, 0] if _GENERIC in attributes else np.zeros(len(places))
     if places.dtype != np.uint32 or places.shape != (len(copies), 3):

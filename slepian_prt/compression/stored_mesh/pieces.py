@@ -190,7 +190,7 @@ def _loose_faces(arrays: dict[str, NDArray]) -> NDArray[np.int64]:
 
 
 def _three(values: Any, dtype: type) -> NDArray:
-    three = np.array(values, dtype=dtype)
+    three: NDArray = np.array(values, dtype=dtype)
     if three.shape != (3,):
         raise ValueError("three numbers")
     return three

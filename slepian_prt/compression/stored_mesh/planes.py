@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 
 def to_planes(values: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """(k, b, n) bytes of signed numbers (n, k): 0, -1, 1, -2, … as 0, 1, 2, 3, …, in as few bytes b as hold the largest.
+    """(k, b, n) bytes of signed numbers (n, k), in as few bytes b as hold the largest.
 
-    All low bytes of a column stand together, then those above them.
+    0, -1, 1, -2, … become 0, 1, 2, 3, …. All low bytes of a column stand together, then those above them.
     """
     signed = np.ascontiguousarray(values.T, dtype=np.int64)
     folded = ((signed << 1) ^ (signed >> 63)).view(np.uint64)
@@ -36,14 +38,18 @@ def from_planes(planes: NDArray[np.uint8], columns: int) -> NDArray[np.int64]:
 
 def to_ordered(values: NDArray[np.floating]) -> NDArray[np.int64]:
     """Whole numbers in the order of floats (float16, float32, float64) whose bits they are, 0 for +0 and -1 for -0."""
-    kind = {2: np.int16, 4: np.int32, 8: np.int64}[values.dtype.itemsize]
-    bits = values.view(kind).astype(np.int64)
-    below = np.int64(np.iinfo(kind).max)
-    return np.where(bits < 0, bits ^ below, bits)
+    bits = values.view(f"i{values.dtype.itemsize}").astype(np.int64)
+    return np.where(bits < 0, bits ^ _below_sign(values.dtype), bits)
 
 
-def from_ordered(numbers: NDArray[np.int64], dtype: np.dtype) -> NDArray[np.floating]:
+def from_ordered(numbers: NDArray[np.int64], dtype: np.dtype[Any]) -> NDArray[np.floating]:
     """What `to_ordered` was given; numbers count modulo what the type holds."""
-    kind = {2: np.int16, 4: np.int32, 8: np.int64}[dtype.itemsize]
-    bits = numbers.astype(kind)  # wraps
-    return np.where(bits < 0, bits ^ np.iinfo(kind).max, bits).astype(kind).view(dtype)
+    kind = f"i{dtype.itemsize}"
+    bits = numbers.astype(kind).astype(np.int64)  # wraps
+    floats: NDArray[np.floating] = np.where(bits < 0, bits ^ _below_sign(dtype), bits).astype(kind).view(dtype)
+    return floats
+
+
+def _below_sign(dtype: np.dtype[Any]) -> np.int64:
+    """All bits of a float but its sign."""
+    return np.int64((1 << (8 * dtype.itemsize - 1)) - 1)

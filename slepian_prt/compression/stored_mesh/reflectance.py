@@ -1,4 +1,4 @@
-"""Albedo in few bytes: constants once, few different values as a table, else float16 along the order of the vertices."""
+"""Albedo in few bytes: constants once, few different values as a table, else float16 along the vertices."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def pack_albedo(
     if table.size <= _TABLE:
         along = np.diff(index.reshape(values.shape), axis=0, prepend=0)
         return {"kind": "table", "values": table.tolist()}, {"mesh/albedo": along.T.astype(np.uint8)}
-    half = not exact and 0.0 <= values.min() and values.max() <= _LARGEST_HALF
+    half = not exact and values.min() >= 0.0 and values.max() <= _LARGEST_HALF
     numbers = to_ordered(values.astype(np.float16 if half else np.float32))
     along = np.diff(numbers, axis=0, prepend=0)
     return {"kind": "float16" if half else "float32"}, {"mesh/albedo": to_planes(along)}
@@ -62,6 +62,6 @@ def unpack_albedo(
         table = np.array(entry["values"], dtype=np.float32)
         albedo[:] = table[np.cumsum(packed, axis=1, dtype=np.uint8)].T
         return albedo
-    dtype = {"float16": np.dtype(np.float16), "float32": np.dtype(np.float32)}[entry["kind"]]
+    dtype: np.dtype[Any] = np.dtype({"float16": "f2", "float32": "f4"}[entry["kind"]])
     albedo[:] = from_ordered(np.cumsum(from_planes(packed, len(packed)), axis=0), dtype)
     return albedo

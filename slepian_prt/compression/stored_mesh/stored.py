@@ -84,6 +84,28 @@ def read_mesh(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, note
     return Mesh(name, positions, normals, faces, albedo, notes)
 
 
+def read_stored(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, notes: tuple[str, ...]) -> StoredMesh:
+    """As `read_mesh`, with what is needed to write the same file again."""
+    mesh = read_mesh(entry, arrays, name, notes)
+    own = {key: values for key, values in arrays.items() if key.startswith("mesh/") and key != "mesh/order"}
+    return StoredMesh(mesh, np.arange(len(mesh.positions)), entry, own)
+
+
+def sizes_of_parts(entry: dict[str, Any]) -> list[tuple[int, int]]:
+    """Vertices on one side, and sides, of each part."""
+    return [(one["vertices"], one["sides"]) for one in entry["pieces"]]
+
+
+def pack_order(order: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """The array of a file that says which vertex of the source each vertex (V,) is."""
+    return to_planes(np.diff(order, prepend=0)[:, None])
+
+
+def unpack_order(planes: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """(V,) what `pack_order` packed; not checked."""
+    return np.cumsum(from_planes(planes, 1)[:, 0])
+
+
 def _store(mesh: Mesh, parts: Sequence[Part], exact: bool) -> StoredMesh:
     pieces = cut(mesh, parts)
     # Vertices without faces may be too far away to be counted from the others.
@@ -101,7 +123,7 @@ def _store(mesh: Mesh, parts: Sequence[Part], exact: bool) -> StoredMesh:
     read = read_mesh(entry, arrays, mesh.name, mesh.notes)
     back = np.argsort(order)
     seen = replace(mesh, positions=read.positions[back], normals=read.normals[back], albedo=read.albedo[back])
-    vars(seen)["receivers"] = replace(Mesh.receivers.func(seen), order=order)  # made by hand, as files number them
+    vars(seen)["receivers"] = replace(seen.receivers, order=order)
     return StoredMesh(seen, order, entry, arrays)
 
 
@@ -129,7 +151,7 @@ def _surface(pieces: Sequence[Piece], positions: NDArray[np.float64], exact: boo
 def _missing_bits(rounded: NDArray[np.float64], positions: NDArray[np.float64]) -> tuple[str, NDArray[np.uint8]]:
     """The type of floats that holds positions, and how many of its numbers they are away from those of the lattice."""
     with np.errstate(over="ignore"):
-        dtype = np.dtype(np.float32 if np.all(positions.astype(np.float32) == positions) else np.float64)
+        dtype: np.dtype[Any] = np.dtype("f4" if np.all(positions.astype(np.float32) == positions) else "f8")
         away = to_ordered(positions.astype(dtype)) - to_ordered(rounded.astype(dtype))
     return dtype.name, to_planes(away)
 
@@ -137,12 +159,13 @@ def _missing_bits(rounded: NDArray[np.float64], positions: NDArray[np.float64]) 
 def _with_all_bits(
     rounded: NDArray[np.float64], entry: dict[str, Any], arrays: dict[str, NDArray]
 ) -> NDArray[np.float64]:
-    dtype = {"float32": np.dtype(np.float32), "float64": np.dtype(np.float64)}[entry["positions"]]
+    dtype: np.dtype[Any] = np.dtype({"float32": "f4", "float64": "f8"}[entry["positions"]])
     away = from_planes(arrays["mesh/positions"], 3)
     if len(away) != len(rounded):
         raise ValueError("number of positions")
     with np.errstate(over="ignore"):
-        return from_ordered(to_ordered(rounded.astype(dtype)) + away, dtype).astype(np.float64)
+        near: NDArray[np.floating] = rounded.astype(dtype)
+    return from_ordered(to_ordered(near) + away, dtype).astype(np.float64)
 
 
 _stored: WeakKeyDictionary[Receivers, dict[tuple[tuple[Part, ...], bool], StoredMesh]] = WeakKeyDictionary()

@@ -18,6 +18,9 @@ from slepian_prt.scene.formats.joining import join_equal
 # A normal that is not computed this near is stored.
 LARGEST_TURN = math.radians(0.25)
 
+# Between the ends of both, less what rounding to float32 may add.
+_LARGEST_CHORD = 2.0 * math.sin(0.5 * LARGEST_TURN) - 1e-6
+
 # Stored normals are points of an octahedron's faces in whole numbers: 12 bits each, by 0.05 degrees at most.
 _OCTAHEDRON = 2047
 
@@ -183,7 +186,7 @@ def _length(a: NDArray) -> NDArray[np.float64]:
 def _turns(computed: NDArray, normals: NDArray) -> NDArray[np.bool_]:
     """(n,) whether a normal is further off than `LARGEST_TURN`, or zero where the other is not."""
     apart = np.sqrt(np.sum((computed - normals) ** 2, axis=1))
-    return np.asarray((apart > 2.0 * math.sin(0.5 * LARGEST_TURN)) | (computed.any(axis=1) != normals.any(axis=1)))
+    return np.asarray((apart > _LARGEST_CHORD) | (computed.any(axis=1) != normals.any(axis=1)))
 
 
 def _to_octahedron(normals: NDArray[np.float64]) -> NDArray[np.int64]:
