@@ -1,6 +1,7 @@
 """A reader of .prt files written from docs/file-format.md alone: it shares no code with the package.
 
-It needs numpy and the standard library; a second implementation in another language can be checked against it.
+It needs numpy, Draco (through DracoPy) and the standard library; a second implementation in another language can be
+checked against it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.format_mesh import mesh_of_file
 from tests.format_pixels import mesh_of_pixels
 
 # --- The container ---------------------------------------------------------------------------------------------------
@@ -46,10 +48,12 @@ class File:
 def read(path: str | Path) -> File:
     with zipfile.ZipFile(path) as container:
         manifest = json.loads(container.read("manifest.json"))
-        assert (manifest["format"], manifest["version"]) == ("slepian_prt transfer", 2)
+        assert (manifest["format"], manifest["version"]) == ("slepian_prt transfer", 3)
         arrays = {name: np.load(io.BytesIO(container.read(f"{name}.npy"))) for name in manifest["arrays"]}
     if "film" in manifest:
         arrays |= mesh_of_pixels(manifest["film"], arrays)
+    else:
+        arrays |= mesh_of_file(manifest["mesh"], arrays)
     index, caps = cap_of_each_vertex(arrays)
     members = [np.flatnonzero(index == c) for c in range(caps)]
     widths = np.broadcast_to(arrays["caps/terms"], caps).astype(int) * manifest["channels"]

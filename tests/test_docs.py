@@ -287,7 +287,7 @@ def test_independent_reader_agrees(transfers, channels, options, tmp_path):
 
 
 def test_reader_shares_no_code():
-    for name in ("format_reader.py", "format_pixels.py"):
+    for name in ("format_reader.py", "format_mesh.py", "format_pixels.py"):
         assert "slepian_prt" not in re.sub(r'"[^"]*"', "", (ROOT / "tests" / name).read_text())
 
 

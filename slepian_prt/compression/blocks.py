@@ -33,8 +33,6 @@ class CapBlocks:
     store : Store
     overrides : dict of int to Block
         Blocks that replace what the store has of their receivers.
-    order : (V,) or None
-        Which receiver is the first, the second, ... of the file; None: as they are numbered.
     """
 
     receivers: Receivers
@@ -43,7 +41,6 @@ class CapBlocks:
     widths: NDArray[np.int64]
     store: Store
     overrides: dict[int, Block]
-    order: NDArray[np.int64] | None = None
 
     def size(self, caps: Sequence[int]) -> int:
         """Number of receivers in some caps."""
@@ -79,7 +76,7 @@ class CapBlocks:
 
     def rows(self, caps: Sequence[int]) -> CapRows:
         """How the codec visits some caps."""
-        return surface_of(self.receivers, self.order).rows([self.members[c] for c in caps])
+        return surface_of(self.receivers).rows([self.members[c] for c in caps])
 
     def pieces(self) -> list[range]:
         """The caps in pieces whose coefficients are few enough to be coded together."""

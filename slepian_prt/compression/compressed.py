@@ -15,6 +15,7 @@ from slepian_prt.compression.codec.caps import Coded
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
+from slepian_prt.compression.stored_mesh.stored import StoredMesh
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.spectrum import falling_prior, light_power
 from slepian_prt.scene.film import Film
@@ -32,6 +33,9 @@ class CompressedTransfer(Summarised):
     Attributes
     ----------
     mesh : Mesh
+        As the file has it, quantised; its vertices in the order of the source, or of the file if that holds no other.
+    stored : StoredMesh or None
+        What the file has of it; None of a film.
     parts : tuple of Part
     bandlimit : int
     basis : str
@@ -80,6 +84,7 @@ class CompressedTransfer(Summarised):
     """
 
     mesh: Mesh
+    stored: StoredMesh | None
     parts: tuple[Part, ...]
     bandlimit: int
     basis: str
@@ -180,8 +185,15 @@ class CompressedTransfer(Summarised):
 
         return reconstruct(self, vertices)
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path, *, keep_order: bool = False) -> None:
         """Write a ``.prt`` file: complete or not at all.
+
+        Parameters
+        ----------
+        path : path
+        keep_order : bool
+            Whether the vertices of what is loaded are to stand in the order that they have here; by default they stand
+            in that of the file, which takes 2 bytes less for each.
 
         Raises
         ------
@@ -190,7 +202,7 @@ class CompressedTransfer(Summarised):
         """
         from slepian_prt.compression.prt_file import save
 
-        save(self, path)
+        save(self, path, keep_order=keep_order)
 
     def _summary(self) -> dict[str, object]:
         verified = ", ".join(f"{light} {error:.2g}" for light, error in self.verified.items())

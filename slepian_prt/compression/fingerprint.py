@@ -25,7 +25,7 @@ def fingerprint(planned: PlannedScene, projection: Projection) -> str:
     arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
     for shape in (*scene.shapes, *instanced_shapes(scene)):
         arrays += shape_arrays(scene.mi, shape)
-    arrays += [learned.clusters.index, *(basis.analysis for basis in projection.bases)]
+    arrays += [learned.normals, learned.clusters.index, *(basis.analysis for basis in projection.bases)]
     if learned.pilot is not None and learned.pilot.mean is not None:
         arrays.append(learned.pilot.mean.zonal)
     for array in arrays:

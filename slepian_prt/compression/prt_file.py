@@ -21,6 +21,14 @@ from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
+from slepian_prt.compression.stored_mesh.stored import (
+    StoredMesh,
+    pack_order,
+    read_stored,
+    sizes_of_parts,
+    unpack_order,
+)
+from slepian_prt.compression.vertex_order import in_file_order, in_source_order
 from slepian_prt.errors import UserError
 from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
@@ -32,14 +40,15 @@ from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
 
 
-def save(packed: CompressedTransfer, path: str | Path) -> None:
-    """Write a ``.prt`` file: complete or not at all.
+def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = False) -> None:
+    """Write a ``.prt`` file: complete or not at all; see `CompressedTransfer.save`.
 
     Raises
     ------
     UserError
         The folder is missing or not writable, or the disk is full.
     """
+    stored, packed = packed.stored, in_file_order(packed)
     manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,
         "channels": packed.channels,
@@ -71,12 +80,10 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
     if packed.film is not None:
         manifest["film"], mesh = pack_film(packed.film, packed.mesh)
     else:
-        mesh = {
-            "mesh/positions": packed.mesh.positions,
-            "mesh/normals": packed.mesh.normals.astype(np.float32),
-            "mesh/faces": packed.mesh.faces,
-            "mesh/albedo": packed.mesh.albedo,
-        }
+        assert stored is not None
+        manifest["mesh"], mesh = stored.entry, dict(stored.arrays)
+        if keep_order:
+            mesh["mesh/order"] = pack_order(stored.order)
     light: dict[str, NDArray] = {} if packed.lighting is None else {"environment/lighting": packed.lighting}
     if packed.fixed is not None:
         manifest["fixed"], lamps = pack_lamps(packed.fixed)
@@ -88,7 +95,7 @@ def save(packed: CompressedTransfer, path: str | Path) -> None:
 
 def transfer_size(packed: CompressedTransfer) -> int:
     """Bytes in the file for the transfer of distant light: for everything but the mesh, its own light and its lamps."""
-    return container.encoded_size(_transfer_arrays(packed))
+    return container.encoded_size(_transfer_arrays(in_file_order(packed)))
 
 
 def load(path: str | Path) -> CompressedTransfer:
@@ -102,7 +109,6 @@ def load(path: str | Path) -> CompressedTransfer:
     manifest, arrays = container.read(path)
     try:
         packed = _from_arrays(manifest, arrays)
-
     except (KeyError, ValueError, IndexError, TypeError, AssertionError) as error:
         raise UserError(f"{path}: its contents do not fit together ({error!r}); precompute it again") from None
     return packed
@@ -151,7 +157,7 @@ def _cluster_arrays(clusters: Clusters, mesh: Mesh, by_site: bool) -> dict[str, 
 
 def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> CompressedTransfer:
     bandlimit, channels = int(manifest["bandlimit"]), int(manifest["channels"])
-    film, mesh = _film_and_mesh(manifest, arrays)
+    film, mesh, stored = _film_and_mesh(manifest, arrays)
     clusters = _clusters(arrays, mesh)
     terms = np.broadcast_to(arrays["caps/terms"].astype(np.int64), len(clusters.caps))
     bases = _bases(arrays, clusters, terms, bandlimit, channels, manifest["coding"] == "coded")
@@ -167,8 +173,9 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         coefficients = tuple(
             piece.reshape(n, k) for piece, n, k in zip(pieces, clusters.sizes, terms * channels, strict=True)
         )
-    return CompressedTransfer(
+    packed = CompressedTransfer(
         mesh=mesh,
+        stored=stored,
         parts=tuple(Part(*part) for part in manifest["parts"]),
         bandlimit=bandlimit,
         basis=manifest["basis"],
@@ -199,21 +206,19 @@ def _from_arrays(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> Compre
         verified_vertices=int(manifest.get("verified_vertices", 0)),
         verified_left_out=dict(manifest.get("verified_left_out", {})),
     )
+    if "mesh/order" not in arrays:
+        return packed
+    return in_source_order(packed, unpack_order(arrays["mesh/order"]))
 
 
-def _film_and_mesh(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> tuple[Film | None, Mesh]:
+def _film_and_mesh(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> tuple[Film | None, Mesh, StoredMesh | None]:
     name, notes = manifest["name"], tuple(manifest["notes"])
     if "film" in manifest:
-        return unpack_film(manifest["film"], arrays, name, notes)
-    mesh = Mesh(
-        name,
-        arrays["mesh/positions"],
-        arrays["mesh/normals"].astype(np.float64),
-        arrays["mesh/faces"],
-        arrays["mesh/albedo"],
-        notes,
-    )
-    return None, mesh
+        return *unpack_film(manifest["film"], arrays, name, notes), None
+    stored = read_stored(manifest["mesh"], arrays, name, notes)
+    if sizes_of_parts(stored.entry) != [(part[2], part[3]) for part in manifest["parts"]]:
+        raise ValueError("parts of the mesh")
+    return None, stored.mesh, stored
 
 
 def _clusters(arrays: dict[str, NDArray], mesh: Mesh) -> Clusters:

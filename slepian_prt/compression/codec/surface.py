@@ -105,11 +105,11 @@ class CapRows:
         return np.split(row, np.cumsum(self.sizes)[:-1])
 
 
-def surface_of(receivers: Receivers, order: NDArray[np.int64] | None = None) -> Surface:
+def surface_of(receivers: Receivers) -> Surface:
     """The surface of receivers, made once, so that all that code or decode the same caps share it."""
     known = _surfaces.get(receivers)
     if known is None:
-        known = _surfaces[receivers] = Surface(receivers, order)
+        known = _surfaces[receivers] = Surface(receivers)
     return known
 
 
@@ -120,18 +120,13 @@ class Surface:
     ----------
     receivers : Receivers
         Normals count as the file holds them, in float32.
-    order : (V,), optional
-        Which receiver is the first, the second, ... of the file; by default as they are numbered.
     """
 
-    def __init__(self, receivers: Receivers, order: NDArray[np.int64] | None = None) -> None:
+    def __init__(self, receivers: Receivers) -> None:
         positions, count = receivers.positions, len(receivers)
-        if order is None:
-            along = np.argsort(morton(positions), kind="stable")
-        else:
-            along = order[np.argsort(morton(positions[order]), kind="stable")]
+        order = np.arange(count) if receivers.order is None else receivers.order
         self._rank = np.empty(count, dtype=np.int64)
-        self._rank[along] = np.arange(count)
+        self._rank[order[np.argsort(morton(positions[order]), kind="stable")]] = np.arange(count)
         self._neighbours = receivers.neighbours
         low = positions.min(axis=0)
         extent = float((positions.max(axis=0) - low).max())

@@ -1,0 +1,69 @@
+"""Compressed transfer with its vertices in another order: that of its file, or that of its source."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.stored_mesh.stored import StoredMesh
+from slepian_prt.scene.mesh import Mesh
+
+
+def in_file_order(packed: CompressedTransfer) -> CompressedTransfer:
+    """The same transfer, its vertices as the file numbers them."""
+    stored = packed.stored
+    if stored is None or np.all(stored.order == np.arange(len(stored.order))):
+        return packed
+    return _reordered(packed, stored.order, np.arange(len(stored.order)))
+
+
+def in_source_order(packed: CompressedTransfer, order: NDArray[np.int64]) -> CompressedTransfer:
+    """Transfer in the order of its file, its vertices as the source numbers them.
+
+    Parameters
+    ----------
+    packed : CompressedTransfer
+    order : (V,)
+        Which vertex of the source each one of the file is.
+
+    Raises
+    ------
+    ValueError
+        That is no permutation.
+    """
+    count = len(packed.mesh.positions)
+    if order.shape != (count,) or not np.all(np.sort(order) == np.arange(count)):
+        raise ValueError("order of the vertices")
+    return _reordered(packed, np.argsort(order), order)
+
+
+def _reordered(packed: CompressedTransfer, chosen: NDArray, order: NDArray) -> CompressedTransfer:
+    """Vertex i becomes what ``chosen[i]`` was; ``order`` is that of the file then."""
+    assert packed.stored is not None
+    mesh, clusters, fixed = _reordered_mesh(packed.mesh, chosen, order), packed.clusters, packed.fixed
+    clusters = replace(clusters, index=clusters.index[chosen])
+    coefficients = tuple(
+        values[np.searchsorted(before, chosen[after])]
+        for values, before, after in zip(packed.coefficients, packed.clusters.members, clusters.members, strict=False)
+    )
+    if fixed is not None:
+        fixed = replace(fixed, direct=fixed.direct[:, chosen], bounced=fixed.bounced[:, chosen])
+    stored = StoredMesh(mesh, order, packed.stored.entry, packed.stored.arrays)
+    return replace(packed, mesh=mesh, stored=stored, clusters=clusters, coefficients=coefficients, fixed=fixed)
+
+
+def _reordered_mesh(mesh: Mesh, chosen: NDArray, order: NDArray) -> Mesh:
+    number = np.empty(len(chosen), dtype=np.int32)
+    number[chosen] = np.arange(len(chosen), dtype=np.int32)
+    moved = replace(
+        mesh,
+        positions=mesh.positions[chosen],
+        normals=mesh.normals[chosen],
+        faces=number[mesh.faces],
+        albedo=mesh.albedo[chosen],
+    )
+    vars(moved)["receivers"] = replace(moved.receivers, order=order)
+    return moved
