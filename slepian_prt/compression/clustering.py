@@ -8,9 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from slepian_prt.errors import UserError, check_integer
 from slepian_prt.scene.receivers import Receivers, morton
@@ -152,6 +149,11 @@ def cluster_surface(receivers: Receivers, axes: NDArray, count: int) -> Clusters
         Whose caps are taken.
     count : int >= 1
     """
+    # Only here, so that relighting starts without SciPy.
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+    from scipy.spatial import cKDTree
+
     lit = np.flatnonzero(np.any(axes != 0.0, axis=1))
     everywhere = receivers.positions
     positions = everywhere[lit]

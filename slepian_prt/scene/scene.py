@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.face_table import FaceTable, interactions
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
@@ -21,6 +20,9 @@ from slepian_prt.scene.receivers import Receivers
 from slepian_prt.scene.reflectance.path_effects import passes_light
 from slepian_prt.scene.surroundings import Surroundings, ray_heights
 from slepian_prt.scene.view import View
+
+if TYPE_CHECKING:  # parts of a scene are read with every transfer file, whose light may be of none
+    from slepian_prt.lighting.environment import Environment
 
 
 @dataclass(frozen=True)
