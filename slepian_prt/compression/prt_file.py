@@ -17,6 +17,7 @@ from slepian_prt.compression.codec.entropy import MODELS
 from slepian_prt.compression.codec.prediction import CONTEXTS, Coded, Tuning
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import decode_all
+from slepian_prt.compression.file_size import remember_size
 from slepian_prt.compression.film_packing import pack_film, unpack_film
 from slepian_prt.compression.lamp_packing import pack_lamps, unpack_lamps
 from slepian_prt.compression.linear_basis import LinearBasis
@@ -50,6 +51,11 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
     UserError
         The folder is missing or not writable, or the disk is full.
     """
+    remember_size(packed, container.write(path, *content_of(packed, keep_order=keep_order)))
+
+
+def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """The manifest and the arrays of a file."""
     stored, packed = packed.stored, in_file_order(packed)
     manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,
@@ -92,12 +98,7 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
         light |= lamps
     if packed.path_noise is not None:
         manifest["noise"] = packed.path_noise
-    container.write(path, manifest, {**mesh, **light, **_transfer_arrays(packed)})
-
-
-def transfer_size(packed: CompressedTransfer) -> int:
-    """Bytes in the file for the transfer of distant light: for everything but the mesh, its own light and its lamps."""
-    return container.encoded_size(_transfer_arrays(in_file_order(packed)))
+    return manifest, {**mesh, **light, **_transfer_arrays(packed)}
 
 
 def load(path: str | Path) -> CompressedTransfer:
@@ -114,6 +115,7 @@ def load(path: str | Path) -> CompressedTransfer:
         decode_all(packed)  # now, so that damage is found here
     except (KeyError, ValueError, IndexError, TypeError, AssertionError) as error:
         raise UserError(f"{path}: its contents do not fit together ({error!r}); precompute it again") from None
+    remember_size(packed, container.member_sizes(path))
     return packed
 
 
