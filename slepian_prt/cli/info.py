@@ -72,6 +72,8 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "clusters": len(packed.bases),
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
+        "mesh_bytes_per_vertex": packed.mesh_bytes_per_vertex,
+        "file_bytes_per_vertex": packed.file_bytes_per_vertex,
         "predicted_error": packed.predicted_error,
         "predicted_relit_error": packed.predicted_relit_error(),
         "path_noise": packed.path_noise,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.codec.caps import Coded
+from slepian_prt.compression.file_size import file_size
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
@@ -152,15 +153,23 @@ class CompressedTransfer(Summarised):
         power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
         return self.film.relative_noise(self.channels * self.expected.total, power)  # expected of each channel
 
-    @cached_property
+    @property
     def bytes_per_vertex(self) -> float:
         """Bytes in the file per vertex for coefficients, bases, caps and cluster indices.
 
         Not counted are the mesh, and the light of lamps: 2 to 12 bytes for each, less where it is dark or gray.
         """
-        from slepian_prt.compression.prt_file import transfer_size
+        return file_size(self).transfer / len(self.mesh.positions)
 
-        return transfer_size(self) / len(self.mesh.positions)
+    @property
+    def mesh_bytes_per_vertex(self) -> float:
+        """Bytes in the file per vertex for its mesh."""
+        return file_size(self).mesh / len(self.mesh.positions)
+
+    @property
+    def file_bytes_per_vertex(self) -> float:
+        """Bytes of the whole file per vertex."""
+        return file_size(self).whole / len(self.mesh.positions)
 
     @cached_property
     def normals(self) -> NDArray[np.float64]:
@@ -216,6 +225,7 @@ class CompressedTransfer(Summarised):
             "caps": len(self.bases),
             "coding": self.coding,
             "bytes_per_vertex": self.bytes_per_vertex,
+            "file_bytes_per_vertex": self.file_bytes_per_vertex,
             "predicted_error": self.predicted_error,
             "path_noise": self.path_noise,
             "light_prior": self.prior or None,

@@ -27,8 +27,18 @@ VERSION = 3
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
-def write(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+# What a member takes beside its content and, twice, its name; and what the whole takes beside its members.
+_OF_MEMBER = 30 + 46
+END = 22
+
+
+def write(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, int]:
     """Write a file complete or not at all.
+
+    Returns
+    -------
+    dict of str to int
+        As `member_sizes`.
 
     Raises
     ------
@@ -36,10 +46,22 @@ def write(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]
         The folder is missing or not writable, or the disk is full.
     """
     with atomic_output(path) as file, zipfile.ZipFile(file, "w") as container:
-        content = {"format": FORMAT, "version": VERSION, "arrays": list(arrays), **manifest}
-        _add(container, "manifest.json", json.dumps(content, indent=1).encode(), zipfile.ZIP_DEFLATED)
-        for name, array in arrays.items():
-            _add(container, f"{name}.npy", _npy(array), _compression(array))
+        return _fill(container, manifest, arrays)
+
+
+def sizes_of(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, int]:
+    """What `write` would return."""
+    with zipfile.ZipFile(io.BytesIO(), "w") as container:
+        return _fill(container, manifest, arrays)
+
+
+def member_sizes(path: str | Path) -> dict[str, int]:
+    """Bytes in a file of the manifest and of each array, by name, everything about them counted; without reading them.
+
+    Of a file that can be `read`; their sum and `END` are the bytes of the file.
+    """
+    with zipfile.ZipFile(path) as container:
+        return _sizes(container)
 
 
 def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
@@ -78,14 +100,19 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
     return manifest, arrays
 
 
-def encoded_size(arrays: dict[str, NDArray]) -> int:
-    """Bytes that arrays take in a file, everything about them counted."""
-    counter = io.BytesIO()
-    with zipfile.ZipFile(counter, "w") as container:
-        empty = counter.tell()
-        for name, array in arrays.items():
-            _add(container, f"{name}.npy", _npy(array), _compression(array))
-    return counter.tell() - empty
+def _fill(container: zipfile.ZipFile, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, int]:
+    content = {"format": FORMAT, "version": VERSION, "arrays": list(arrays), **manifest}
+    _add(container, "manifest.json", json.dumps(content, indent=1).encode(), zipfile.ZIP_DEFLATED)
+    for name, array in arrays.items():
+        _add(container, f"{name}.npy", _npy(array), _compression(array))
+    return _sizes(container)
+
+
+def _sizes(container: zipfile.ZipFile) -> dict[str, int]:
+    return {
+        member.filename.removesuffix(".npy"): member.compress_size + _OF_MEMBER + 2 * len(member.filename)
+        for member in container.infolist()
+    }
 
 
 def _add(container: zipfile.ZipFile, name: str, content: bytes, compression: int) -> None:

@@ -15,6 +15,7 @@ from slepian_prt.compression.clustering import Clusters, clusters_of_sites, fram
 from slepian_prt.compression.coded_packing import pack_coded, unpack_coded
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import decode_all
+from slepian_prt.compression.file_size import remember_size
 from slepian_prt.compression.film_packing import pack_film, unpack_film
 from slepian_prt.compression.lamp_packing import pack_lamps, unpack_lamps
 from slepian_prt.compression.linear_basis import LinearBasis
@@ -48,6 +49,11 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
     UserError
         The folder is missing or not writable, or the disk is full.
     """
+    remember_size(packed, container.write(path, *content_of(packed, keep_order=keep_order)))
+
+
+def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """The manifest and the arrays of a file."""
     stored, packed = packed.stored, in_file_order(packed)
     manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,
@@ -90,12 +96,7 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
         light |= lamps
     if packed.path_noise is not None:
         manifest["noise"] = packed.path_noise
-    container.write(path, manifest, {**mesh, **light, **_transfer_arrays(packed)})
-
-
-def transfer_size(packed: CompressedTransfer) -> int:
-    """Bytes in the file for the transfer of distant light: for everything but the mesh, its own light and its lamps."""
-    return container.encoded_size(_transfer_arrays(in_file_order(packed)))
+    return manifest, {**mesh, **light, **_transfer_arrays(packed)}
 
 
 def load(path: str | Path) -> CompressedTransfer:
@@ -111,6 +112,7 @@ def load(path: str | Path) -> CompressedTransfer:
         packed = _from_arrays(manifest, arrays)
     except (KeyError, ValueError, IndexError, TypeError, AssertionError) as error:
         raise UserError(f"{path}: its contents do not fit together ({error!r}); precompute it again") from None
+    remember_size(packed, container.member_sizes(path))
     return packed
 
 
