@@ -38,7 +38,9 @@ def pack_coded(coded: Coded) -> dict[str, NDArray]:
         "coded/lanes": np.concatenate([np.zeros(0, dtype=np.uint16), *(cap.lanes.lengths for cap in caps)]),
         "coded/caps": table,
         "coded/prediction": np.concatenate([predictor.gains, predictor.shrinkage]),
-        "coded/contexts": np.concatenate([predictor.steps, contexts.models, contexts.changes, contexts.width_table, contexts.width_tables.ravel()]),
+        "coded/contexts": np.concatenate(
+            [predictor.steps, contexts.models, contexts.changes, contexts.width_table, contexts.width_tables.ravel()]
+        ),
     }
 
 
@@ -78,7 +80,12 @@ def _predictor(stored: NDArray[np.uint8], steps: NDArray[np.uint8]) -> Predictor
 def _contexts(stored: NDArray[np.uint8]) -> Contexts:
     ends = np.cumsum([CONTEXTS, BASES, WIDTH_CONTEXTS])
     models, changes, width_table, tables = np.split(stored, ends)
-    if tables.size == 0 or tables.size % WIDTHS or models.max() >= MODELS or max(changes.max(), tables.max()) > RAREST_SHARE:
+    if (
+        tables.size == 0
+        or tables.size % WIDTHS
+        or models.max() >= MODELS
+        or max(changes.max(), tables.max()) > RAREST_SHARE
+    ):
         raise ValueError("contexts")
     if width_table.max() >= tables.size // WIDTHS:
         raise ValueError("tables of widths")

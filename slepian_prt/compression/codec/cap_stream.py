@@ -82,7 +82,9 @@ class CapsWriter:
         for call in self._calls:
             counts += call.counts
             costs += np.bincount(
-                np.repeat(self._caps, call.counts), self._table.bits[call.models, call.symbols], minlength=self._caps.size
+                np.repeat(self._caps, call.counts),
+                self._table.bits[call.models, call.symbols],
+                minlength=self._caps.size,
             )
         # Lanes in proportion to symbols, so that all end at about the same step.
         wanted = counts * (costs.sum() / _LANE_BITS / max(1, int(counts.sum())))

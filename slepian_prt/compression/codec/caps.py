@@ -174,9 +174,7 @@ def round_frugally(
 class _Attempt:
     """Caps predicted and rounded, each along the axes given or as it is."""
 
-    def __init__(
-        self, x: Sequence[NDArray], axes: Sequence[RoundedAxes | None], rows: CapRows, tuning: Tuning
-    ) -> None:
+    def __init__(self, x: Sequence[NDArray], axes: Sequence[RoundedAxes | None], rows: CapRows, tuning: Tuning) -> None:
         self._x, self._axes, self._rows, self._tuning = x, axes, rows, tuning
         along = [part if own is None else part @ own.rows.T for part, own in zip(x, axes, strict=True)]
         width = max((part.shape[1] for part in along), default=0)

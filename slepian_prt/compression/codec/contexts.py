@@ -206,4 +206,6 @@ def _stored(shares: NDArray) -> NDArray[np.uint8]:
 @functools.cache
 def _share_sizes() -> NDArray[np.int64]:
     """(RAREST_SHARE + 1,) what stored shares stand for, of 2^20."""
-    return np.rint(power_parts(-RAREST_SHARE, RAREST_SHARE + 1, _SHARES_PER_OCTAVE)[::-1] * _SHARES_WHOLE).astype(np.int64)
+    return np.rint(power_parts(-RAREST_SHARE, RAREST_SHARE + 1, _SHARES_PER_OCTAVE)[::-1] * _SHARES_WHOLE).astype(
+        np.int64
+    )

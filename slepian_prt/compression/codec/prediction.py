@@ -1,9 +1,9 @@
 """Coefficients predicted along the surface and rounded, in whole numbers.
 
-Each coefficient is predicted from those of neighbours *as decoded*, in sixteenths of a step: their weighted mean, shrunk
-where they are few or far, times a gain. What differs is rounded, to finer steps on coarser levels, from which others
-are predicted. Decoders compute the very same predictions on any machine: the numbers are held in float64, and are so
-small that all sums and products are exact and the quotient rounds down correctly.
+Each coefficient is predicted from those of neighbours *as decoded*, in sixteenths of a step: their weighted mean,
+shrunk where they are few or far, times a gain. What differs is rounded, to finer steps on coarser levels, from which
+others are predicted. Decoders compute the very same predictions on any machine: the numbers are held in float64, and
+are so small that all sums and products are exact and the quotient rounds down correctly.
 """
 
 from __future__ import annotations

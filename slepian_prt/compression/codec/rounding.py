@@ -40,9 +40,7 @@ class FrugalRounding:
         self._zero = np.clip(0.5 + worth * (bits[:, 1] - bits[:, 0]), _ALWAYS_ZERO, _NEVER_ZERO)
         self._shift = np.clip(worth * (bits[:, 3] - bits[:, 2]), 0.0, _LARGEST_SHIFT)
 
-    def __call__(
-        self, level: Level, apart: NDArray[np.float64], sizes: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def __call__(self, level: Level, apart: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Differences (rows, width) in steps, rounded; see `predict_and_round`."""
         caps = self._caps[level.rows]
         activities = activities_of(level_activity(level, sizes), self._usual[level.rows])

@@ -145,7 +145,9 @@ class Surface:
         """The receivers of some caps along a Z-order curve of each, and what each is predicted from."""
         if len(self._rank) > _REMEMBERED:
             return self._rows(members)
-        key = hashlib.sha256(b"".join(np.append(part.size, part).astype(np.int64).tobytes() for part in members)).digest()
+        key = hashlib.sha256(
+            b"".join(np.append(part.size, part).astype(np.int64).tobytes() for part in members)
+        ).digest()
         if key not in self._remembered:
             self._remembered[key] = self._rows(members)
         return self._remembered[key]

@@ -133,7 +133,11 @@ def fit_predictor(x: NDArray, rows: CapRows) -> Predictor:
 @functools.cache
 def _nominal_models() -> NDArray[np.uint8]:
     """The model whose mean is what a context stands for."""
-    return np.abs(np.log2(mean_magnitudes()[:LADDER])[None, :] - np.log2(context_sizes())[:, None]).argmin(axis=1).astype(np.uint8)
+    return (
+        np.abs(np.log2(mean_magnitudes()[:LADDER])[None, :] - np.log2(context_sizes())[:, None])
+        .argmin(axis=1)
+        .astype(np.uint8)
+    )
 
 
 def fit_contexts(values: NDArray[np.int32], telling: Telling) -> Contexts:
@@ -145,7 +149,12 @@ def fit_contexts(values: NDArray[np.int32], telling: Telling) -> Contexts:
     key = magnitude_contexts(places.bases, places.octaves) * TOKENS + tokens
     counts += np.bincount(key, minlength=counts.size).reshape(counts.shape)
     models = np.argmin(counts @ token_bits().T, axis=1).astype(np.uint8)
-    begun = Contexts(models, _fit_changes(values, telling), np.zeros((1, WIDTHS), dtype=np.uint8), np.zeros(WIDTH_CONTEXTS, dtype=np.uint8))
+    begun = Contexts(
+        models,
+        _fit_changes(values, telling),
+        np.zeros((1, WIDTHS), dtype=np.uint8),
+        np.zeros(WIDTH_CONTEXTS, dtype=np.uint8),
+    )
     key = telling.width_contexts(begun) * WIDTHS + telling.widths
     seen = np.bincount(key, minlength=WIDTH_CONTEXTS * WIDTHS).reshape(-1, WIDTHS).astype(np.float64)
     groups = _merge(seen)
@@ -190,4 +199,6 @@ def _merge(counts: NDArray[np.float64]) -> NDArray[np.int64]:
 def _entropy(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bits of all that was counted, each row with its own distribution."""
     total = counts.sum(axis=-1)
-    return np.asarray(total * np.log2(np.maximum(total, 1.0)) - (counts * np.log2(np.maximum(counts, 1.0))).sum(axis=-1))
+    return np.asarray(
+        total * np.log2(np.maximum(total, 1.0)) - (counts * np.log2(np.maximum(counts, 1.0))).sum(axis=-1)
+    )
