@@ -60,7 +60,7 @@ class CapsWriter:
         self.symbols(counts, tokens, models)
         self._extra_bits(counts, tokens, numbers)
 
-    def values(self, counts: NDArray[np.int64], values: NDArray[np.int64], models: NDArray) -> None:
+    def values(self, counts: NDArray[np.int64], values: NDArray[np.integer], models: NDArray) -> None:
         """Numbers with a sign."""
         values = values.astype(np.int64)
         tokens = tokens_of(np.abs(values), models)
