@@ -20,7 +20,7 @@ from tests import format_coefficients, format_lanes
 from tests.agreement import assert_readers_agree
 from tests.conftest import bumpy, sphere
 from tests.format_lanes import token_frequencies
-from tests.format_reader import transfer_vectors
+from tests.format_reader import File, transfer_vectors
 from tests.numerics import assert_rounded
 
 ROOT = Path(__file__).parent.parent
@@ -123,15 +123,23 @@ def counted(monkeypatch, module, name: str) -> Counter:
     return found
 
 
+def agreed_on(made: sp.CompressedTransfer, folder: Path) -> tuple[sp.CompressedTransfer, File]:
+    """Both readers' views of what was coded."""
+    assert made.coded is not None
+    made.save(folder / "made.prt")
+    return assert_readers_agree(folder / "made.prt")
+
+
 def test_a_fan_of_very_many_triangles(rng, tmp_path, monkeypatch):
-    """The hub has more sources than count; the rim has too many second neighbours, so that the curve stands in."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 700, endpoint=False)
+    """The hub has more sources than count, not all of the coarsest levels among them; the rim has too many second
+    neighbours, so that the curve stands in."""
+    count = 3001
+    angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     rim = np.stack([np.cos(angle), np.sin(angle), 0.1 * np.sin(9.0 * angle)], axis=1)
-    faces = [[0, 1 + i, 1 + (i + 1) % 700] for i in range(700)]
+    faces = [[0, 1 + i, 1 + (i + 1) % count] for i in range(count)]
     fan = sp.make_mesh([[0.03, 0.02, 0.2], *rim], faces)
     sources = counted(monkeypatch, format_coefficients, "sources_of")
-    sp.compress(made_up(fan, rng), clusters=1, tolerance=0.02).save(tmp_path / "fan.prt")
-    assert_readers_agree(tmp_path / "fan.prt")
+    agreed_on(sp.compress(made_up(fan, rng), clusters=1, terms=3, coding="coded"), tmp_path)
     assert sources[64] == 1
     assert sources[0] > 100
 
@@ -142,9 +150,8 @@ def test_magnitudes_of_any_size(rng, tmp_path, monkeypatch):
     vectors = transfer.vectors.copy()
     vectors[::17] *= 1e4 * rng.standard_t(1, size=(len(vectors[::17]), 1, 1))
     tokens = counted(monkeypatch, format_lanes, "extra_bits")
-    packed = sp.compress(replace(transfer, vectors=vectors.astype(np.float32)), clusters=2, tolerance=1e-5)
-    packed.save(tmp_path / "heavy.prt")
-    _, file = assert_readers_agree(tmp_path / "heavy.prt")
+    made = sp.compress(replace(transfer, vectors=vectors.astype(np.float32)), clusters=2, tolerance=1e-5)
+    _, file = agreed_on(made, tmp_path)
     assert tokens[32] > 10
     assert max(np.abs(cap.numbers).max() for cap in file.caps) > 16 * 131086
     assert file.arrays["coded/caps"][0].min() > 1  # lanes
@@ -153,24 +160,23 @@ def test_magnitudes_of_any_size(rng, tmp_path, monkeypatch):
 @pytest.mark.parametrize("clusters", [42, 20])
 @pytest.mark.parametrize("group_by", ["normal", "surface"])
 def test_caps_of_one_vertex(clusters, group_by, rng, tmp_path):
-    sp.compress(made_up(sphere(1), rng), clusters=clusters, group_by=group_by, tolerance=0.02).save(tmp_path / "c.prt")
-    packed, _ = assert_readers_agree(tmp_path / "c.prt")
+    made = sp.compress(made_up(sphere(1), rng), clusters=clusters, group_by=group_by, tolerance=0.02)
+    packed, _ = agreed_on(made, tmp_path)
     assert 1 in packed.clusters.sizes
 
 
 def test_empty_and_dark_caps(rng, tmp_path):
     """A cap without a vertex, one of a single vertex, and one that no light reaches."""
     mesh = bumpy(2)
-    made = cluster_surface(mesh.receivers, mesh.normals, 5)
-    index = np.where(made.index == 2, 1, made.index)
+    grouped = cluster_surface(mesh.receivers, mesh.normals, 5)
+    index = np.where(grouped.index == 2, 1, grouped.index)
     index[np.flatnonzero(index == 3)[1:]] = 0
     transfer = made_up(mesh, rng)
     vectors = transfer.vectors.copy()
     vectors[index == 4] = 0.0
-    clusters = Clusters.of_one_class(index, made.caps)
-    packed = sp.compress(replace(transfer, vectors=vectors), clusters=clusters, tolerance=0.02)
-    packed.save(tmp_path / "some.prt")
-    _, file = assert_readers_agree(tmp_path / "some.prt")
+    clusters = Clusters.of_one_class(index, grouped.caps)
+    made = sp.compress(replace(transfer, vectors=vectors), clusters=clusters, tolerance=0.02)
+    _, file = agreed_on(made, tmp_path)
     assert [file.caps[2].members.size, file.caps[3].members.size] == [0, 1]
     assert file.arrays["coded/caps"][:4, 2].tolist() == [0, 0, 0, 0]
 
@@ -181,8 +187,7 @@ def test_two_sides(exact_mesh, rng, tmp_path):
     mesh = bumpy(2)
     both = with_back(mesh, np.full_like(mesh.albedo, 0.25))
     options = {"clusters": 6, "tolerance": 0.05, "exact_mesh": exact_mesh}
-    sp.compress(made_up(both, rng, 3, sides=2), **options).save(tmp_path / "both.prt")
-    assert_readers_agree(tmp_path / "both.prt")
+    agreed_on(sp.compress(made_up(both, rng, 3, sides=2), **options), tmp_path)
 
 
 def test_principal_axes(rng, tmp_path):
@@ -193,9 +198,8 @@ def test_principal_axes(rng, tmp_path):
     other = mesh.positions[:, 2] > 0.0
     vectors[other] = rng.normal(size=(np.count_nonzero(other), 48))
     vectors = vectors.astype(np.float32).reshape(transfer.vectors.shape)
-    packed = sp.compress(replace(transfer, vectors=vectors), clusters=6, tolerance=0.02)
-    packed.save(tmp_path / "few.prt")
-    _, file = assert_readers_agree(tmp_path / "few.prt")
+    made = sp.compress(replace(transfer, vectors=vectors), clusters=6, tolerance=0.02)
+    _, file = agreed_on(made, tmp_path)
     assert {cap.axes is None for cap in file.caps} == {False, True}
 
 
@@ -212,6 +216,21 @@ def test_meshes_of_any_size(size, rng, tmp_path):
     )
     transfer = made_up(mesh, rng)
     scaled = replace(mesh, positions=mesh.positions * size)
-    packed = sp.compress(replace(transfer, mesh=scaled, axes=scaled.normals), clusters=3, tolerance=0.02)
-    packed.save(tmp_path / "ball.prt")
-    assert_readers_agree(tmp_path / "ball.prt")
+    made = sp.compress(replace(transfer, mesh=scaled, axes=scaled.normals), clusters=3, tolerance=0.02)
+    agreed_on(made, tmp_path)
+
+
+@pytest.mark.parametrize(("far", "used"), [(100.0, True), (1000.0, False), (1e9, False)])
+def test_edges_of_any_length(far, used, rng, tmp_path):
+    """A plane and a vertex far away: so far that edges are a few units, or none. A face has one corner twice."""
+    side = 24
+    column, row = np.meshgrid(np.arange(side), np.arange(side))
+    places = np.stack([column.ravel() / side, row.ravel() / side, np.zeros(side**2)], axis=1)
+    first = (row * side + column)[:-1, :-1].ravel()
+    faces = [*np.stack([first, first + 1, first + side], axis=1), [5, 5, 6]]
+    faces += [[0, 1, side**2]] if used else []
+    positions = np.append(places, [[far, far, 0.0]], axis=0)
+    normals = np.tile([0.0, 0.0, 1.0], (side**2 + 1, 1))
+    plane = sp.Mesh("plane", positions, normals, np.array(faces, np.int32), np.ones(positions.shape, np.float32))
+    transfer = replace(made_up(replace(plane, positions=4.0 * rng.random(positions.shape)), rng), mesh=plane)
+    agreed_on(sp.compress(replace(transfer, axes=normals), clusters=2, terms=4, coding="coded"), tmp_path)
