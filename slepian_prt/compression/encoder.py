@@ -177,7 +177,8 @@ def _encode_to_distortion(
     if warm_start is None:
         sample = sample_caps(projection.learned, _SAMPLE)
         part = blocks.size(sample) / blocks.size(range(count))
-        tuning = codec_tuning.tune([blocks.coefficients(c) for c in sample], blocks.rows(sample), wanted * part, finest)
+        coefficients = [blocks.coefficients(c) for c in sample]
+        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0])
     else:
         choices = warm_start.principal_axes or choices
         # Coded once more if it were a little too coarse; a little too fine is good enough.
