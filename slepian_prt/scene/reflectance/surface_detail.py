@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,11 +97,11 @@ def read_surface_detail(path: Path, mesh: Mesh) -> SurfaceDetail | None:
         log.info("%s: its textures are not drawn, because `albedo` was given instead of them", path)
         return None
     detail = _detail_of(file)
-    return replace(
-        detail,
-        **{name: getattr(detail, name)[kept][matched.faces] for name in ("choice", "metallic", "metallic_choice")},
-        **{name: matched.of_corners(getattr(detail, name)[kept]) for name in ("uv", "colors", "metallic_uv")},
-    )
+    own: dict[str, Any] = {
+        name: getattr(detail, name)[kept][matched.faces] for name in ("choice", "metallic", "metallic_choice")
+    }
+    own |= {name: matched.of_corners(getattr(detail, name)[kept]) for name in ("uv", "colors", "metallic_uv")}
+    return replace(detail, **own)
 
 
 def _joined(file: MeshFile) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
