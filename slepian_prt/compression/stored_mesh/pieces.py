@@ -128,6 +128,8 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
     counts = np.array([[one[name] for name in _COUNTS] for one in about], dtype=np.int64).reshape(len(about), -1)
     if not len(about) or counts.min() < 0 or counts[:, 0].min() < 1 or not np.all(np.isin(counts[:, 2], (1, 2))):
         raise ValueError("pieces of the mesh")
+    if arrays["mesh/draco"].dtype != np.uint8:
+        raise ValueError("bytes of Draco")
     data = _pieces(arrays["mesh/draco"], counts[:, 3])
     loose = _pieces(_loose(arrays), counts[:, 4])
     loose_faces = _pieces(_loose_faces(arrays), counts[:, 5])
