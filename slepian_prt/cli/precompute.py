@@ -58,6 +58,7 @@ _compression_options = together(
     click.option(
         "--exact-mesh",
         is_flag=True,
+        default=False,
         help="Positions and albedo to the bit, normals in float32.  [default: to 1/65535 of the model, 0.25 degrees]",
     ),
 )
