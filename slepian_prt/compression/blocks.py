@@ -14,7 +14,7 @@ from slepian_prt.compression.codec.surface import CapRows, surface_of
 from slepian_prt.scene.receivers import Receivers
 
 # Coefficients that are coded together: they take some 60 bytes each meanwhile.
-_PIECE = 1 << 22
+_PIECE = 1 << 21
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,10 +32,13 @@ def pack_coded(coded: Coded) -> dict[str, NDArray]:
             cap.principal_axes,
             _checksum(cap),
         )
-    return {
+    long = {
         "coded/words": np.concatenate([np.zeros(0, dtype=np.uint16), *(cap.lanes.words for cap in caps)]),
         "coded/bits": np.concatenate([np.zeros(0, dtype=np.uint8), *(cap.bits for cap in caps)]),
         "coded/lanes": np.concatenate([np.zeros(0, dtype=np.uint16), *(cap.lanes.lengths for cap in caps)]),
+    }
+    return {
+        **{name: array for name, array in long.items() if array.size},
         "coded/caps": table,
         "coded/prediction": np.concatenate([predictor.gains, predictor.shrinkage]),
         "coded/contexts": np.concatenate(
@@ -56,10 +59,11 @@ def unpack_coded(arrays: dict[str, NDArray], step: float, caps: int) -> Coded:
     if table.shape != (6, caps):
         raise ValueError("number of coded caps")
     parts = []
-    for name, row in (("words", _WORDS), ("bits", _BITS), ("lanes", _LANES)):
-        if table[row].sum() != arrays[f"coded/{name}"].size:
+    for name, row, kind in (("words", _WORDS, "u2"), ("bits", _BITS, "u1"), ("lanes", _LANES, "u2")):
+        array = arrays.get(f"coded/{name}", np.zeros(0, dtype=kind))
+        if table[row].sum() != array.size or array.dtype != kind:
             raise ValueError(f"number of {name}")
-        parts.append(np.split(arrays[f"coded/{name}"], np.cumsum(table[row])[:-1]))
+        parts.append(np.split(array, np.cumsum(table[row])[:-1]))
     contents = []
     for words, bits, lanes, column in zip(*parts, table.T, strict=True):
         content = CapBytes(LaneWords(lanes, words), bits, int(column[_WIDTH]), bool(column[_AXES]))

@@ -27,6 +27,32 @@ from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import Effect
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outline:
+    """What is told of transfer without its numbers.
+
+    Attributes
+    ----------
+    name : str
+    notes : tuple of str
+    vertices, faces, caps : int
+    coding : str
+    prior_weights : (L+1,) or None
+    lamps : tuple of str
+    film : FilmOutline or None
+    """
+
+    name: str
+    notes: tuple[str, ...]
+    vertices: int
+    faces: int
+    caps: int
+    coding: str
+    prior_weights: NDArray[np.float64] | None
+    lamps: tuple[str, ...]
+    film: FilmOutline | None
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CompressedTransfer(Summarised):
     """Everything needed to relight a scene.
@@ -116,52 +142,66 @@ class CompressedTransfer(Summarised):
     verified_vertices: int = 0
     verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)
 
+    # Told without decoding anything where it was loaded from a file.
+
+    @cached_property
+    def _outline(self) -> Outline:
+        return Outline(
+            name=self.mesh.name,
+            notes=self.mesh.notes,
+            vertices=len(self.mesh.positions),
+            faces=len(self.mesh.faces),
+            caps=len(self.bases),
+            coding="coded" if self.coded is not None else str(self.coefficients[0].dtype),
+            prior_weights=self.bases[0].weights,
+            lamps=() if self.fixed is None else self.fixed.names,
+            film=None if self.film is None else self.film.outline,
+        )
+
     @property
     def coding(self) -> str:
         """coded, float16 or float32."""
-        return "coded" if self.coded is not None else str(self.coefficients[0].dtype)
-
-    # Told without decoding anything where it was loaded from a file.
+        return self._outline.coding
 
     @property
     def name(self) -> str:
         """Of the mesh or camera."""
-        return self.mesh.name
+        return self._outline.name
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was repaired in the mesh."""
-        return self.mesh.notes
+        return self._outline.notes
 
     @property
     def vertex_count(self) -> int:
         """V."""
-        return len(self.mesh.positions)
+        return self._outline.vertices
 
     @property
     def face_count(self) -> int:
         """F."""
-        return len(self.mesh.faces)
+        return self._outline.faces
 
     @property
     def cap_count(self) -> int:
         """Number of caps."""
-        return len(self.bases)
+        return self._outline.caps
 
     @property
     def lamp_names(self) -> tuple[str, ...]:
         """Of the scene's lamps."""
-        return () if self.fixed is None else self.fixed.names
+        return self._outline.lamps
 
     @property
     def film_outline(self) -> FilmOutline | None:
         """Of the film whose pixels these are, if they are such."""
-        return None if self.film is None else self.film.outline
+        return self._outline.film
 
     @property
     def prior_weights(self) -> NDArray[np.float64] | None:
         """(L+1,) weights of the light prior; None without one."""
-        return self.bases[0].weights
+        return self._outline.prior_weights
 
     @property
     def predicted_error(self) -> float:

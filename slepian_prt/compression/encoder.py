@@ -26,8 +26,9 @@ from slepian_prt.compression.refinement import refine
 _ROUNDING_SHARE = 0.1
 _FINEST_ROUNDING = 1e-3
 
-# Receivers that the step and the models are fitted to, in whole caps.
+# Receivers, and coefficients, that the step and the models are fitted to at most, in whole caps.
 _SAMPLE = 15_000
+_SAMPLE_COEFFICIENTS = 1 << 21
 _ATTEMPTS = 3
 # What is left of the error asked for need not be used up to the last.
 _CLOSE = 0.95
@@ -175,9 +176,11 @@ def _encode_to_distortion(
     finest = blocks.largest() / LARGEST_MULTIPLE
     choices: Sequence[bool | None] = [principal_axes_asked(projection)] * count
     if warm_start is None:
-        sample = sample_caps(projection.learned, _SAMPLE)
+        width = max(1, int(blocks.widths.max(initial=0)))
+        sample = sample_caps(projection.learned, min(_SAMPLE, _SAMPLE_COEFFICIENTS // width))
         part = blocks.size(sample) / blocks.size(range(count))
-        tuning = codec_tuning.tune([blocks.coefficients(c) for c in sample], blocks.rows(sample), wanted * part, finest)
+        coefficients = [blocks.coefficients(c) for c in sample]
+        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0])
     else:
         choices = warm_start.principal_axes or choices
         # Coded once more if it were a little too coarse; a little too fine is good enough.

@@ -17,7 +17,7 @@ from slepian_prt.compression.lamp_packing import pack_lamps
 from slepian_prt.compression.stored_mesh.stored import (
     pack_order,
 )
-from slepian_prt.compression.stored_transfer import stored_transfer
+from slepian_prt.compression.stored_transfer import check_schema, stored_transfer
 from slepian_prt.compression.transfer_arrays import pack_transfer
 from slepian_prt.compression.vertex_order import in_file_order
 
@@ -88,7 +88,8 @@ def load(path: str | Path, *, check: bool = True) -> CompressedTransfer:
     ----------
     path : path
     check : bool
-        Whether all of the file is read and its checksums verified now, instead of when it is needed.
+        Whether all of the file is read, its checksums verified and its arrays held against its manifest now, instead of
+        when they are needed.
 
     Raises
     ------
@@ -97,7 +98,7 @@ def load(path: str | Path, *, check: bool = True) -> CompressedTransfer:
     """
     contents = container.Contents(path)
     if check:
-        contents.arrays()
+        check_schema(contents)
     packed = stored_transfer(contents)
     remember_size(packed, contents.sizes)
     return packed

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.compressed import CompressedTransfer, Outline
 from slepian_prt.compression.container import Contents
-from slepian_prt.compression.film_packing import unpack_film
-from slepian_prt.compression.lamp_packing import unpack_lamps
+from slepian_prt.compression.film_packing import check_film, unpack_film
+from slepian_prt.compression.lamp_packing import check_lamps, unpack_lamps
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, read_stored, sizes_of_parts, unpack_order
-from slepian_prt.compression.transfer_arrays import unpack_transfer
+from slepian_prt.compression.transfer_arrays import check_transfer, unpack_transfer
 from slepian_prt.compression.vertex_order import in_source_order
 from slepian_prt.errors import UserError
 from slepian_prt.scene.film import Film, FilmOutline
@@ -54,52 +54,16 @@ class StoredTransfer(CompressedTransfer):
     fixed = _Late()
     film = _Late()
 
-    @property
-    def coding(self) -> str:
-        return str(self._contents.manifest["coding"])
 
-    @property
-    def name(self) -> str:
-        return str(self._contents.manifest["name"])
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        return tuple(self._contents.manifest["notes"])
-
-    @property
-    def vertex_count(self) -> int:
-        manifest = self._contents.manifest
+def check_schema(contents: Contents) -> None:
+    """Raise UserError for a file whose arrays do not fit its manifest; nothing is decoded."""
+    manifest, arrays = contents.manifest, contents.arrays()
+    with _told(contents):
+        vertices = _outline(contents, tuple(Part(*part) for part in manifest["parts"])).vertices
         if "film" in manifest:
-            return int(manifest["film"]["width"]) * int(manifest["film"]["height"])
-        return sum(part.sides * part.count for part in self.parts)
-
-    @property
-    def face_count(self) -> int:
-        manifest = self._contents.manifest
-        if "film" in manifest:
-            return 2 * (int(manifest["film"]["width"]) - 1) * (int(manifest["film"]["height"]) - 1)
-        return sum(int(piece["sides"]) * int(piece["faces"]) for piece in manifest["mesh"]["pieces"])
-
-    @property
-    def cap_count(self) -> int:
-        return int(self._contents.manifest["caps"])
-
-    @property
-    def lamp_names(self) -> tuple[str, ...]:
-        return tuple(lamp["name"] for lamp in self._contents.manifest.get("fixed", ()))
-
-    @property
-    def film_outline(self) -> FilmOutline | None:
-        entry = self._contents.manifest.get("film")
-        if entry is None:
-            return None
-        power = np.array(entry["noise_power"], dtype=np.float64)
-        return FilmOutline(entry["name"], int(entry["width"]), int(entry["height"]), power)
-
-    @property
-    def prior_weights(self) -> NDArray[np.float64] | None:
-        name = "basis/weights"
-        return self._contents.array(name) if name in self._contents.manifest["arrays"] else None
+            check_film(manifest["film"], arrays)
+        check_lamps(manifest.get("fixed"), arrays, vertices)
+        check_transfer(manifest, arrays)
 
 
 def stored_transfer(contents: Contents) -> CompressedTransfer:
@@ -112,19 +76,8 @@ def stored_transfer(contents: Contents) -> CompressedTransfer:
     """
     transfer = object.__new__(StoredTransfer)
     with _told(contents):
-        vars(transfer).update(_fields_of_manifest(contents.manifest), _contents=contents)
-        # What else `info` tells.
-        for name in (
-            "coding",
-            "name",
-            "notes",
-            "vertex_count",
-            "face_count",
-            "cap_count",
-            "lamp_names",
-            "film_outline",
-        ):
-            getattr(transfer, name)
+        fields = _fields_of_manifest(contents.manifest)
+        vars(transfer).update(fields, _contents=contents, _outline=_outline(contents, fields["parts"]))
     return transfer
 
 
@@ -161,6 +114,29 @@ def _fields_of_manifest(manifest: dict[str, Any]) -> dict[str, Any]:
         "verified_vertices": int(manifest.get("verified_vertices", 0)),
         "verified_left_out": dict(manifest.get("verified_left_out", {})),
     }
+
+
+def _outline(contents: Contents, parts: tuple[Part, ...]) -> Outline:
+    manifest, film = contents.manifest, None
+    if "film" in manifest:
+        entry = manifest["film"]
+        width, height = int(entry["width"]), int(entry["height"])
+        film = FilmOutline(entry["name"], width, height, np.array(entry["noise_power"], dtype=np.float64))
+        vertices, faces = width * height, 2 * (width - 1) * (height - 1)
+    else:
+        vertices = sum(part.sides * part.count for part in parts)
+        faces = sum(int(piece["sides"]) * int(piece["faces"]) for piece in manifest["mesh"]["pieces"])
+    return Outline(
+        name=manifest["name"],
+        notes=tuple(manifest["notes"]),
+        vertices=vertices,
+        faces=faces,
+        caps=int(manifest["caps"]),
+        coding=manifest["coding"],
+        prior_weights=contents.array("basis/weights") if "basis/weights" in manifest["arrays"] else None,
+        lamps=tuple(lamp["name"] for lamp in manifest.get("fixed", ())),
+        film=film,
+    )
 
 
 def _decoded(contents: Contents) -> dict[str, Any]:

@@ -61,6 +61,18 @@ def _cluster_arrays(clusters: Clusters, mesh: Mesh, by_site: bool) -> dict[str, 
     return arrays
 
 
+def check_transfer(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    """Raise ValueError or KeyError for arrays that are missing or do not fit the manifest or each other."""
+    caps = int(manifest["caps"])
+    centers = arrays["clusters/sites" if "clusters/sites" in arrays else "caps/center"]
+    if caps < 1 or centers.shape != (caps, 3) or arrays["caps/terms"].shape not in ((1,), (caps,)):
+        raise ValueError("caps")
+    if manifest["coding"] == "coded":
+        unpack_coded(arrays, float(manifest["step"]), caps)
+    elif arrays["coefficients"].dtype.name != manifest["coding"]:
+        raise ValueError("type of the coefficients")
+
+
 def unpack_transfer(manifest: dict[str, Any], arrays: dict[str, NDArray], mesh: Mesh) -> dict[str, Any]:
     """Fields of a `CompressedTransfer` from what `pack_transfer` packed.
 

@@ -89,9 +89,9 @@ def try_caps(projection: Projection, blocks: CapBlocks, caps: Sequence[int]) -> 
     read = time.perf_counter()
     with threadpool_limits(1, "blas"):
         distortion = allowed_distortion(projection, total, missed)
-        tuning = tune(samples, rows, distortion, blocks.largest() / LARGEST_MULTIPLE)
-        tuned = time.perf_counter()
         axes = principal_axes_asked(projection)
+        tuning = tune(samples, rows, distortion, blocks.largest() / LARGEST_MULTIPLE, axes)
+        tuned = time.perf_counter()
         encoded = encode_caps(samples, rows, tuning, principal_axes=[axes] * len(caps))
         coded = time.perf_counter()
     channels = projection.learned.channels

@@ -40,6 +40,14 @@ def in_source_order(packed: CompressedTransfer, order: NDArray[np.int64]) -> Com
     return _reordered(packed, np.argsort(order), order)
 
 
+def landmarks(packed: CompressedTransfer, part: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices of a part that are known by number: as they are numbered here, and by the shape it was made from."""
+    assert packed.stored is not None
+    of_file, before = packed.stored.entry["pieces"][part]["landmarks"]
+    first = packed.parts[part].first
+    return packed.stored.order[np.array(of_file, dtype=np.int64) + first], np.array(before, dtype=np.int64)
+
+
 def _reordered(packed: CompressedTransfer, chosen: NDArray, order: NDArray) -> CompressedTransfer:
     """Vertex i becomes what ``chosen[i]`` was; ``order`` is that of the file then."""
     assert packed.stored is not None

@@ -98,7 +98,8 @@ def test_uncompressed_films(rng, tmp_path):
 @pytest.mark.parametrize("part", ["axes", "background", "noise", "directions"])
 def test_damaged_films_are_refused(part, rng, tmp_path):
     compress(captured(rng), "none", coding="float32").save(tmp_path / "film.prt")
-    manifest, arrays = container.read(tmp_path / "film.prt")
+    contents = container.Contents(tmp_path / "film.prt")
+    manifest, arrays = contents.manifest, contents.arrays()
     arrays[f"film/{part}"] = arrays[f"film/{part}"][..., :-1]
     del manifest["format"], manifest["version"], manifest["arrays"]
     container.write(tmp_path / "film.prt", manifest, arrays)

@@ -12,7 +12,7 @@ Optionally a cap's coefficients are first brought into their principal axes, whi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,14 +149,19 @@ def encode_caps(
         round_axes(part, tuning.step) if wanted is not False and len(part) else None
         for part, wanted in zip(x, principal_axes, strict=True)
     ]
-    told = _Attempt(x, axes, rows, tuning)
+    told = CodingAttempt(x, axes, rows, tuning)
     if any(wanted is None and found is not None for wanted, found in zip(principal_axes, axes, strict=True)):
         plain = [None if wanted is None else found for wanted, found in zip(principal_axes, axes, strict=True)]
-        pays = told.costs() < _Attempt(x, plain, rows, tuning).costs()
-        axes = [found if pays[c] else other for c, (found, other) in enumerate(zip(axes, plain, strict=True))]
-        if not all(pays):
-            told = _Attempt(x, axes, rows, tuning)
+        told = cheaper(told, CodingAttempt(x, plain, rows, tuning))
     return told.encode(keep)
+
+
+def cheaper(one: CodingAttempt, other: CodingAttempt) -> CodingAttempt:
+    """The same caps, each along the axes of the attempt that it costs less in."""
+    pays = one.costs() < other.costs()
+    if pays.all() or not pays.any():
+        return one if pays.all() else other
+    return one.along([a if pays[c] else b for c, (a, b) in enumerate(zip(one.axes, other.axes, strict=True))])
 
 
 def round_frugally(
@@ -171,11 +176,20 @@ def round_frugally(
     return found, tell(found.values, rows)
 
 
-class _Attempt:
-    """Caps predicted and rounded, each along the axes given or as it is."""
+class CodingAttempt:
+    """Caps predicted and rounded, each along the axes given or as it is.
+
+    Parameters
+    ----------
+    x : sequence of (N, K)
+        Coefficients of each cap, in the order of its members.
+    axes : sequence of RoundedAxes or None
+    rows : CapRows
+    tuning : Tuning
+    """
 
     def __init__(self, x: Sequence[NDArray], axes: Sequence[RoundedAxes | None], rows: CapRows, tuning: Tuning) -> None:
-        self._x, self._axes, self._rows, self._tuning = x, axes, rows, tuning
+        self._x, self.axes, self._rows, self._tuning = x, axes, rows, tuning
         along = [part if own is None else part @ own.rows.T for part, own in zip(x, axes, strict=True)]
         width = max((part.shape[1] for part in along), default=0)
         padded = np.zeros((len(rows), width))
@@ -186,17 +200,25 @@ class _Attempt:
         self._missed = (self.differences.multiples - padded) / PARTS
         self._widths = self.telling.component_counts
 
+    def along(self, axes: Sequence[RoundedAxes | None]) -> CodingAttempt:
+        """The same along other axes."""
+        return CodingAttempt(self._x, axes, self._rows, self._tuning)
+
+    def with_contexts(self, contexts: Contexts) -> CodingAttempt:
+        """The same with contexts of its own."""
+        return CodingAttempt(self._x, self.axes, self._rows, replace(self._tuning, contexts=contexts))
+
     def costs(self) -> NDArray[np.float64]:
         """(caps,) in bits, distortion counted as the bits that it would take to remove it."""
         bits = self.telling.bits(self.differences.values, self._tuning.contexts)
-        bits += [0.0 if own is None else own.first(w).bits for own, w in zip(self._axes, self._widths, strict=True)]
+        bits += [0.0 if own is None else own.first(w).bits for own, w in zip(self.axes, self._widths, strict=True)]
         squares = np.array([float(np.trace(errors)) for errors in self._errors()])
         return np.asarray(bits + squares / _DISTORTION_PER_BIT)
 
     def encode(self, keep: bool) -> list[EncodedCap]:
         contexts, step = self._tuning.contexts, self._tuning.step
         writer = CapsWriter(len(self._x), contexts.table)
-        axes = [None if own is None else own.first(w) for own, w in zip(self._axes, self._widths, strict=True)]
+        axes = [None if own is None else own.first(w) for own, w in zip(self.axes, self._widths, strict=True)]
         _write_classes(writer, self.telling)
         write_axes(writer, axes)
         self.telling.write(writer, self.differences.values, contexts)
@@ -216,7 +238,7 @@ class _Attempt:
     def _errors(self) -> list[NDArray[np.float64]]:
         """Sums of products of errors of the coefficients of each cap, in squared steps."""
         found = []
-        for c, (part, own) in enumerate(zip(self._x, self._axes, strict=True)):
+        for c, (part, own) in enumerate(zip(self._x, self.axes, strict=True)):
             rows = self._rows.by_member[c]
             if own is None:
                 missed = self._missed[rows, : part.shape[1]]

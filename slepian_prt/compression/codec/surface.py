@@ -6,6 +6,7 @@ Everything here is integer arithmetic on what the file holds, so that encoder an
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,7 +32,7 @@ WEIGHT = 1 << 8
 
 # Neighbours of neighbours are looked at where fewer than so many neighbours are known, unless a fan of triangles makes
 # them more than the other number.
-_FEW = 3
+_FEW = 5
 _MANY = 256
 
 # No more neighbours than these are predicted from, the coarsest first.
@@ -173,8 +174,8 @@ class Surface:
         totals = np.asarray(source.sum(axis=1)).ravel()
         levels = []
         starts = np.flatnonzero(np.diff(curve.level, prepend=_FIRST + 1))
-        for begin, end in zip(starts, [*starts[1:], count], strict=True):
-            rows = slice(int(begin), int(end))
+        for begin, end in itertools.pairwise([*starts.tolist(), count]):
+            rows = slice(begin, end)
             first, last = source.indptr[begin], source.indptr[end]
             weights = csr_array(
                 (source.data[first:last], source.indices[first:last], source.indptr[begin : end + 1] - first),

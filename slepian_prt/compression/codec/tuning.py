@@ -9,7 +9,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.codec.caps import Tuning, round_frugally
+from slepian_prt.compression.codec.axes import round_axes
+from slepian_prt.compression.codec.caps import CodingAttempt, Tuning, cheaper, round_frugally
 from slepian_prt.compression.codec.contexts import (
     BASES,
     WIDTH_CONTEXTS,
@@ -53,7 +54,13 @@ _ENOUGH = 0.93
 _SEARCHES = 8
 
 
-def tune(samples: Sequence[NDArray], rows: CapRows, distortion: float, smallest_step: float = 0.0) -> Tuning:
+def tune(
+    samples: Sequence[NDArray],
+    rows: CapRows,
+    distortion: float,
+    smallest_step: float = 0.0,
+    principal_axes: bool | None = False,
+) -> Tuning:
     """Step, prediction gains and contexts for a wanted distortion, from some of the caps.
 
     Parameters
@@ -66,6 +73,8 @@ def tune(samples: Sequence[NDArray], rows: CapRows, distortion: float, smallest_
         Wanted sum of squares over the samples of what rounding changes.
     smallest_step : float
         So that multiples of the step stay within `LARGEST_MULTIPLE`.
+    principal_axes : bool or None
+        As of `encode_caps`, of all caps.
     """
     width = max(part.shape[1] for part in samples)
     x = np.zeros((len(rows), width))
@@ -84,7 +93,21 @@ def tune(samples: Sequence[NDArray], rows: CapRows, distortion: float, smallest_
     count = sum(part.size for part in samples)
     step = max(_search_step(rounding, distortion, x, count), smallest_step)
     found, telling = attempt(step)
-    return Tuning(step, predictor, fit_contexts(found.values, telling))
+    contexts = fit_contexts(found.values, telling)
+    return Tuning(step, predictor, _choice_of_axes(samples, rows, Tuning(step, predictor, contexts), principal_axes))
+
+
+def _choice_of_axes(samples: Sequence[NDArray], rows: CapRows, tuning: Tuning, principal_axes: bool | None) -> Contexts:
+    """Contexts fitted to caps that are coded along their principal axes, or to those for which that pays."""
+    plain = CodingAttempt(samples, [None] * len(samples), rows, tuning)
+    axes = [round_axes(part, tuning.step) if len(part) else None for part in samples]
+    if principal_axes is False or all(own is None for own in axes):
+        return tuning.contexts
+    along = plain.along(axes)
+    # By contexts of its own: those of the others have not seen such widths.
+    along = along.with_contexts(fit_contexts(along.differences.values, along.telling))
+    chosen = along if principal_axes else cheaper(along, plain)
+    return fit_contexts(chosen.differences.values, chosen.telling)
 
 
 def _search_step(rounding: Callable[[float], float], distortion: float, x: NDArray, count: int) -> float:

@@ -65,10 +65,10 @@ class Lattice(NamedTuple):
 def find_lattices(positions: NDArray[np.float64], faces: Sequence[NDArray]) -> list[Lattice]:
     """A lattice for the vertices of each of several lists of faces (F, 3).
 
-    The largest side of the box of all has `STEPS` steps; that of each list has as many at least, as far as float64
+    The largest side of the box of all has `STEPS` steps; that of each list has half as many at least, as far as float64
     tells them apart.
     """
-    used = [positions[np.unique(own)] for own in faces]
+    used = [positions[_vertices(own)] for own in faces]
     everything = np.concatenate(used)
     if len(everything) == 0:
         everything = positions
@@ -79,6 +79,16 @@ def find_lattices(positions: NDArray[np.float64], faces: Sequence[NDArray]) -> l
         lattice = Lattice(low, step, _shift(points, positions[own], step))
         lattices.append(lattice._replace(first=lattice.places(points).min(axis=0)) if len(points) else lattice)
     return lattices
+
+
+def _vertices(faces: NDArray) -> NDArray[np.int64]:
+    """Those that faces use, ascending; np.unique would sort them."""
+    if not faces.size:
+        return np.zeros(0, dtype=np.int64)
+    first, last = int(faces.min()), int(faces.max())
+    used = np.zeros(last + 1 - first, dtype=bool)
+    used[faces - first] = True
+    return np.flatnonzero(used) + first
 
 
 def _shift(points: NDArray[np.float64], corners: NDArray[np.float64], step: float) -> int:

@@ -99,6 +99,7 @@ def write_pieces(pieces: Sequence[Piece]) -> tuple[dict[str, Any], dict[str, NDA
             "draco": len(one.draco),
             "loose": len(one.loose),
             "loose_faces": len(one.loose_faces),
+            "landmarks": find_landmarks(piece.places, one.order),
         }
         for piece, one in zip(pieces, coded, strict=True)
     ]
@@ -127,6 +128,8 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
     counts = np.array([[one[name] for name in _COUNTS] for one in about], dtype=np.int64).reshape(len(about), -1)
     if not len(about) or counts.min() < 0 or counts[:, 0].min() < 1 or not np.all(np.isin(counts[:, 2], (1, 2))):
         raise ValueError("pieces of the mesh")
+    if arrays["mesh/draco"].dtype != np.uint8:
+        raise ValueError("bytes of Draco")
     data = _pieces(arrays["mesh/draco"], counts[:, 3])
     loose = _pieces(_loose(arrays), counts[:, 4])
     loose_faces = _pieces(_loose_faces(arrays), counts[:, 5])
@@ -135,6 +138,8 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
     for one, (count, faces, sides, *_), octets, *lists in zip(
         about, counts.tolist(), data, loose, loose_faces, strict=True
     ):
+        if not _are_landmarks(one["landmarks"], count):
+            raise ValueError("landmarks of the mesh")
         places, sides_of = connectivity.decode(Coded(_NO_ORDER, octets.tobytes(), *lists), count)
         if len(sides_of) != faces:
             raise ValueError("number of faces")
@@ -144,8 +149,46 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
     return pieces
 
 
+# How many vertices of a number and of an eighth of that are known by number.
+_LANDMARKS, _FEWER = 6, 8
+
 _COUNTS = ("vertices", "faces", "sides", "draco", "loose", "loose_faces")
 _NO_ORDER = np.zeros(0, dtype=np.int64)
+
+
+def find_landmarks(places: NDArray[np.int64], order: NDArray[np.int64]) -> list[list[int]]:
+    """Vertices by which a mesh of the same vertices in their old order is known wherever it was moved.
+
+    Of all vertices, of the first eighth of them, of the first eighth of these, … a few that are far from each other:
+    a mesh may since have been cut finer, its old vertices first.
+
+    Parameters
+    ----------
+    places : (n, 3)
+    order : (n,)
+        The vertex that each one of the file is.
+
+    Returns
+    -------
+    Their numbers in the file, and before.
+    """
+    chosen: set[int] = set()
+    count = len(places)
+    while count >= 3:
+        some = places[:count].astype(np.float64)
+        away = np.linalg.norm(some - some.mean(axis=0), axis=1)
+        for _ in range(_LANDMARKS):
+            farthest = int(np.argmax(away))
+            chosen.add(farthest)
+            away = np.minimum(away, np.linalg.norm(some - some[farthest], axis=1))
+        count //= _FEWER
+    before = sorted(chosen)
+    return [np.argsort(order)[before].tolist(), before]
+
+
+def _are_landmarks(pairs: Any, count: int) -> bool:
+    numbers = np.array(pairs, dtype=np.int64)
+    return numbers.ndim == 2 and len(numbers) == 2 and bool(np.all((numbers >= 0) & (numbers < count)))
 
 
 def _front(mesh: Mesh, part: Part, faces: NDArray[np.int64]) -> NDArray[np.int64]:

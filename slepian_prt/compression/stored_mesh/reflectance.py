@@ -59,6 +59,8 @@ def unpack_albedo(
     if len(packed) not in (1, 3) or packed.shape[-1] != count:
         raise ValueError("number of albedos")
     if entry["kind"] == "table":
+        if packed.dtype != np.uint8:
+            raise ValueError("indices of albedos")
         table = np.array(entry["values"], dtype=np.float32)
         albedo[:] = table[np.cumsum(packed, axis=1, dtype=np.uint8)].T
         return albedo

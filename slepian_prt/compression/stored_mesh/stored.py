@@ -78,10 +78,10 @@ def read_mesh(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, note
     positions, exact = _positions(pieces), bool(entry["exact"])
     if exact:
         positions = _with_all_bits(positions, entry, arrays)
-    normals = unpack_normals(arrays, _surface(pieces, positions, exact), exact)
+    surface = _surface(pieces, positions, exact)
+    normals = unpack_normals(arrays, surface, exact)
     albedo = unpack_albedo(entry["albedo"], arrays, _blocks(pieces), len(positions))
-    faces = np.concatenate([piece.all_faces for piece in pieces]).astype(np.int32)
-    return Mesh(name, positions, normals, faces, albedo, notes)
+    return Mesh(name, positions, normals, surface.faces.astype(np.int32), albedo, notes)
 
 
 def read_stored(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, notes: tuple[str, ...]) -> StoredMesh:
@@ -119,10 +119,13 @@ def _store(mesh: Mesh, parts: Sequence[Part], exact: bool) -> StoredMesh:
         entry["positions"] = kind
         positions = mesh.positions[order]
     entry["albedo"], colors = pack_albedo(mesh.albedo[order], _blocks(pieces), exact)
-    arrays |= colors | pack_normals(mesh.normals[order], _surface(pieces, positions, exact), exact)
-    read = read_mesh(entry, arrays, mesh.name, mesh.notes)
+    surface = _surface(pieces, positions, exact)
+    arrays |= colors | pack_normals(mesh.normals[order], surface, exact)
+    # As readers get it, but for the order.
+    normals = unpack_normals(arrays, surface, exact)
+    albedo = unpack_albedo(entry["albedo"], arrays, _blocks(pieces), len(order))
     back = np.argsort(order)
-    seen = replace(mesh, positions=read.positions[back], normals=read.normals[back], albedo=read.albedo[back])
+    seen = replace(mesh, positions=positions[back], normals=normals[back], albedo=albedo[back])
     vars(seen)["receivers"] = replace(seen.receivers, order=order)
     return StoredMesh(seen, order, entry, arrays)
 

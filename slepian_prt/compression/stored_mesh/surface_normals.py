@@ -7,7 +7,8 @@ last bits of library functions (arctan2, norms by BLAS) depend on the machine.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,8 @@ _BLOCK = 1 << 14
 _CANCELLED = 1e-9
 
 
-class Surface(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Surface:
     """What normals are computed from.
 
     Attributes
@@ -62,10 +64,15 @@ class Surface(NamedTuple):
     faces: NDArray[np.integer]
     blocks: NDArray[np.int64]
 
-    def normals(self, *, shared: bool = False) -> NDArray[np.float64]:
-        """(V, 3) `computed_normals`, of their own faces or of all at their places."""
-        groups = join_equal(self.places, self.blocks[:, None])[1] if shared else None
-        return computed_normals(self.places, self.faces, groups)
+    @cached_property
+    def own_normals(self) -> NDArray[np.float64]:
+        """(V, 3) `computed_normals` of each vertex."""
+        return computed_normals(self.places, self.faces)
+
+    @cached_property
+    def shared_normals(self) -> NDArray[np.float64]:
+        """(V, 3) `computed_normals` of all vertices at a place."""
+        return computed_normals(self.places, self.faces, join_equal(self.places, self.blocks[:, None])[1])
 
 
 def pack_normals(normals: NDArray[np.float64], surface: Surface, exact: bool) -> dict[str, NDArray]:
@@ -73,14 +80,14 @@ def pack_normals(normals: NDArray[np.float64], surface: Surface, exact: bool) ->
 
     They turn by no more than `LARGEST_TURN`, and are those of float32 if ``exact``. Zero stays zero.
     """
-    own = surface.normals()
+    own = surface.own_normals
     if exact:
         away = to_ordered(normals.astype(np.float32)) - to_ordered(own.astype(np.float32))
         return {"mesh/normals": to_planes(away)} if away.any() else {}
     ways = np.full(len(normals), _OWN, dtype=np.uint8)
     ways[_turns(own, normals)] = _STORED
     if np.any(ways == _STORED):
-        shared = surface.normals(shared=True)
+        shared = surface.shared_normals
         ways[(ways == _STORED) & ~_turns(shared, normals)] = _SHARED
     ways[(ways != _OWN) & ~normals.any(axis=1)] = _NONE
     stored = ways == _STORED
@@ -97,7 +104,7 @@ def unpack_normals(arrays: dict[str, NDArray], surface: Surface, exact: bool) ->
     ------
     ValueError
     """
-    own, count = surface.normals(), len(surface.places)
+    own, count = surface.own_normals, len(surface.places)
     single = own.astype(np.float32)
     if exact and "mesh/normals" in arrays:
         away = from_planes(arrays["mesh/normals"], 3)
@@ -112,7 +119,7 @@ def unpack_normals(arrays: dict[str, NDArray], surface: Surface, exact: bool) ->
     normals = single.astype(np.float64)
     shared, stored = ways == _SHARED, ways == _STORED
     if shared.any():
-        normals[shared] = surface.normals(shared=True)[shared].astype(np.float32)
+        normals[shared] = surface.shared_normals[shared].astype(np.float32)
     if stored.any():
         away = from_planes(arrays["mesh/normals"], 2)
         if len(away) != np.count_nonzero(stored) or np.abs(away).max() > 2 * _OCTAHEDRON:
