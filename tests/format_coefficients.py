@@ -29,7 +29,8 @@ def decoded_caps(arrays: dict[str, np.ndarray], functions: list[int], members: l
     """Each cap in turn; ``functions`` are K D of each."""
     surface, contexts = Surface(arrays), Contexts(arrays["coded/contexts"], arrays["coded/prediction"])
     models = token_frequencies() + width_frequencies(contexts.widths)
-    counts, words, raw = arrays["coded/lanes"], arrays["coded/words"], arrays["coded/bits"]
+    nothing = np.zeros(0, dtype=np.uint16)
+    counts, words, raw = (arrays.get(f"coded/{name}", nothing) for name in ("lanes", "words", "bits"))
     for column, components, own in zip(arrays["coded/caps"].T.tolist(), functions, members, strict=True):
         lanes, length, size, width, principal, checksum = column
         parts = [counts[:lanes].astype("<u2"), words[:length].astype("<u2"), raw[:size]]

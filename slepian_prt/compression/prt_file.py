@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +29,17 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
     UserError
         The folder is missing or not writable, or the disk is full.
     """
+<<<<<<< HEAD
     remember_size(packed, container.write(path, *content_of(packed, keep_order=keep_order)))
 
 
 def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple[dict[str, Any], dict[str, NDArray]]:
     """The manifest and the arrays of a file."""
     stored, packed = packed.stored, in_file_order(packed)
+=======
+    from importlib.metadata import version  # only here: it takes as long to import as a small file to read
+
+>>>>>>> startup
     manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,
         "channels": packed.channels,

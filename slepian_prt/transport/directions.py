@@ -15,17 +15,20 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.spatial import Delaunay, cKDTree
 from threadpoolctl import threadpool_limits
 
 from slepian_prt.scene.mesh import half_edges
 from slepian_prt.scene.receivers import morton
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+
+if TYPE_CHECKING:
+    from scipy.spatial import Delaunay
 
 SMALLEST_SET = 8
 
@@ -135,6 +138,8 @@ class DirectionSet:
 @lru_cache(maxsize=4)
 def direction_set(nodes: int) -> DirectionSet:
     """A set of ``nodes`` directions about z, distributed evenly under the cosine."""
+    from scipy.spatial import Delaunay  # only here, so that what needs no ray starts without it
+
     points = _relaxed(max(nodes, SMALLEST_SET))
     points = points[np.argsort(morton(points), kind="stable")]
     triangulation = Delaunay(points)
@@ -202,6 +207,8 @@ def _sums(row: NDArray, column: NDArray, rows: int, columns: int, dtype: type = 
 
 def _relaxed(n: int) -> NDArray[np.float64]:
     """n points that fill the disk evenly: a golden spiral after Lloyd's relaxation, stretched to the rim."""
+    from scipy.spatial import cKDTree
+
     points, rule = _spiral(n), _spiral(32 * n)
     for _ in range(_RELAXATIONS):
         _, cell = cKDTree(points).query(rule, workers=-1)

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.directions import SMALLEST_SET
@@ -54,6 +53,8 @@ def _hull_corners(scene: Scene) -> NDArray[np.float64]:
         low, high = np.array(box.min, dtype=np.float64), np.array(box.max, dtype=np.float64)
         corners = [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
         points = np.concatenate([points, corners])
+    from scipy.spatial import ConvexHull, QhullError  # only here, so that what needs no ray starts without it
+
     try:
         return points[ConvexHull(points).vertices]
     except QhullError:

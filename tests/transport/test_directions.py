@@ -119,5 +119,10 @@ def test_tables_are_sums_over_the_points_of_the_rule():
             to_next, to_last = barycentric[:, (k + 1) % 3], barycentric[:, (k + 2) % 3]
             cut = inside & (to_next / ((i + 0.5) / 4) + to_last / ((j + 0.5) / 4) < 1.0)
             row = ((3 * t + k) * 4 + i) * 4 + j
-            assert_rounded(corners[row], (harmonics[cut].sum(axis=0) - third).astype(np.float32), 300, 1.0 / len(ends))
+            assert_rounded(
+                corners[row],
+                (harmonics[cut].sum(axis=0) - third).astype(np.float32),
+                300,
+                1.0 / len(directions.triangles),
+            )
     assert_rounded(nodes, expected.astype(np.float32), 300, 1.0)
