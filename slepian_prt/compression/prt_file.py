@@ -13,9 +13,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.file_size import remember_size
 from slepian_prt.compression.film_packing import pack_film
 from slepian_prt.compression.lamp_packing import pack_lamps
-from slepian_prt.compression.stored_mesh.stored import (
-    pack_order,
-)
+from slepian_prt.compression.stored_mesh.stored import pack_order
 from slepian_prt.compression.stored_transfer import check_schema, stored_transfer
 from slepian_prt.compression.transfer_arrays import pack_transfer
 from slepian_prt.compression.vertex_order import in_file_order
@@ -29,17 +27,14 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
     UserError
         The folder is missing or not writable, or the disk is full.
     """
-<<<<<<< HEAD
     remember_size(packed, container.write(path, *content_of(packed, keep_order=keep_order)))
 
 
 def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple[dict[str, Any], dict[str, NDArray]]:
     """The manifest and the arrays of a file."""
-    stored, packed = packed.stored, in_file_order(packed)
-=======
     from importlib.metadata import version  # only here: it takes as long to import as a small file to read
 
->>>>>>> startup
+    stored, packed = packed.stored, in_file_order(packed)
     manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,
         "channels": packed.channels,
