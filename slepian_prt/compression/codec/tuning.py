@@ -5,12 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.codec.axes import round_axes
-from slepian_prt.compression.codec.caps import CodingAttempt, Tuning, cheaper, round_frugally
+from slepian_prt.compression.codec.axes import RoundedAxes
+from slepian_prt.compression.codec.caps import Tuning
 from slepian_prt.compression.codec.contexts import (
     BASES,
     WIDTH_CONTEXTS,
@@ -22,6 +23,7 @@ from slepian_prt.compression.codec.contexts import (
     stored_changes,
     stored_shares,
 )
+from slepian_prt.compression.codec.encoding import CapCoefficients, FirstPass, RoundedCaps
 from slepian_prt.compression.codec.models import LADDER, TOKENS, frequencies, mean_magnitudes, plain_tokens, token_bits
 from slepian_prt.compression.codec.prediction import (
     GAIN_PARTS,
@@ -29,14 +31,11 @@ from slepian_prt.compression.codec.prediction import (
     LARGEST_MULTIPLE,
     PARTS,
     SHRINK_PARTS,
-    Differences,
     Predictor,
-    predict_and_round,
-    round_with_dead_zone,
     usual_steps,
 )
 from slepian_prt.compression.codec.surface import WEIGHT, CapRows
-from slepian_prt.compression.codec.telling import Telling, tell
+from slepian_prt.compression.codec.telling import Telling
 
 # A context's nominal model counts as this many differences seen.
 _NOMINAL_WEIGHT = 4.0
@@ -76,48 +75,52 @@ def tune(
     principal_axes : bool or None
         As of `encode_caps`, of all caps.
     """
-    width = max(part.shape[1] for part in samples)
-    x = np.zeros((len(rows), width))
-    for part, rows_of_cap in zip(samples, rows.by_member, strict=True):
-        x[rows_of_cap, : part.shape[1]] = part
+    caps = CapCoefficients(samples, rows)
+    nothing: list[RoundedAxes | None] = [None] * len(samples)
+    x = caps.along(nothing, PARTS)
     predictor = fit_predictor(x, rows)
 
-    def attempt(step: float) -> tuple[Differences, Telling]:
-        scaled = x * (PARTS / step)
-        first = predict_and_round(scaled, rows, predictor, round_with_dead_zone).values
-        return round_frugally(scaled, rows, predictor, fit_contexts(first, tell(first, rows)))
+    def first_pass(step: float) -> FirstPass:
+        return FirstPass(caps, nothing, Tuning(step, predictor, nominal_contexts()))
 
-    def rounding(step: float) -> float:
-        return float(np.sum((attempt(step)[0].multiples * (step / PARTS) - x) ** 2))
+    def found(first: FirstPass) -> float:
+        return float(np.sum((first.differences.multiples - first.x) ** 2)) * (first.tuning.step / PARTS) ** 2
 
     count = sum(part.size for part in samples)
-    step = max(_search_step(rounding, distortion, x, count), smallest_step)
-    found, telling = attempt(step)
-    contexts = fit_contexts(found.values, telling)
-    return Tuning(step, predictor, _choice_of_axes(samples, rows, Tuning(step, predictor, contexts), principal_axes))
+    begin = max(math.sqrt(12.0 * distortion / max(count, 1)), smallest_step, 1e-30)
+    coarse = first_pass(begin)
+    # Rounding up less often loses more, by nearly the same factor at all steps.
+    frugal = RoundedCaps(_with_fitted_contexts(coarse)).distortion / max(found(coarse), 1e-300)
+    step = _search_step(lambda step: frugal * found(first_pass(step)), distortion, x, begin)
+    plain = _with_fitted_contexts(first_pass(max(step, smallest_step)))
+    chosen = RoundedCaps(_choice_of_axes(plain, principal_axes))
+    return replace(plain.tuning, contexts=fit_contexts(chosen.differences.values, chosen.telling))
 
 
-def _choice_of_axes(samples: Sequence[NDArray], rows: CapRows, tuning: Tuning, principal_axes: bool | None) -> Contexts:
-    """Contexts fitted to caps that are coded along their principal axes, or to those for which that pays."""
-    plain = CodingAttempt(samples, [None] * len(samples), rows, tuning)
-    axes = [round_axes(part, tuning.step) if len(part) else None for part in samples]
+def _with_fitted_contexts(first: FirstPass) -> FirstPass:
+    first.tuning = replace(first.tuning, contexts=fit_contexts(first.differences.values, first.telling))
+    return first
+
+
+def _choice_of_axes(plain: FirstPass, principal_axes: bool | None) -> FirstPass:
+    """Caps along their principal axes, or those for which that pays."""
+    axes = plain.caps.axes(plain.tuning)
     if principal_axes is False or all(own is None for own in axes):
-        return tuning.contexts
-    along = plain.along(axes)
+        return plain
     # By contexts of its own: those of the others have not seen such widths.
-    along = along.with_contexts(fit_contexts(along.differences.values, along.telling))
-    chosen = along if principal_axes else cheaper(along, plain)
-    return fit_contexts(chosen.differences.values, chosen.telling)
+    along = FirstPass(plain.caps, axes, plain.tuning)
+    contexts = fit_contexts(along.differences.values, along.telling)
+    return along if principal_axes else along.or_cheaper(plain, contexts)
 
 
-def _search_step(rounding: Callable[[float], float], distortion: float, x: NDArray, count: int) -> float:
+def _search_step(rounding: Callable[[float], float], distortion: float, x: NDArray, step: float) -> float:
     """The step whose rounding adds up to ``distortion``, nearly; what is coded with it is measured anyway."""
     everything = float(np.sum(x**2))
     largest = float(np.abs(x).max(initial=0.0))
     if largest == 0.0 or distortion >= everything:
         return max(4.0 * largest, 1e-30)  # nothing needs to be kept
     finest = largest / LARGEST_MULTIPLE
-    step = max(math.sqrt(12.0 * distortion / count), finest)
+    step = max(step, finest)
     for _ in range(_SEARCHES):
         found = rounding(step)
         if _ENOUGH * distortion <= found <= distortion:
@@ -161,6 +164,13 @@ def _nominal_models() -> NDArray[np.uint8]:
         .argmin(axis=1)
         .astype(np.uint8)
     )
+
+
+@functools.cache
+def nominal_contexts() -> Contexts:
+    """Those of a file of which nothing is known yet."""
+    tables = np.zeros((1, WIDTHS), dtype=np.uint8), np.zeros(WIDTH_CONTEXTS, dtype=np.uint8)
+    return Contexts(_nominal_models(), stored_changes(np.zeros(BASES), np.zeros(BASES)), *tables)
 
 
 def fit_contexts(values: NDArray[np.int32], telling: Telling) -> Contexts:
