@@ -29,7 +29,7 @@ def decoded_caps(arrays: dict[str, np.ndarray], functions: list[int], members: l
     """Each cap in turn; ``functions`` are K D of each."""
     surface, contexts = Surface(arrays), Contexts(arrays["coded/contexts"], arrays["coded/prediction"])
     models = token_frequencies() + width_frequencies(contexts.widths)
-    counts, words, raw = arrays["coded/lanes"], arrays["coded/words"], arrays["coded/bits"]
+    counts, words, raw = (arrays.get(f"coded/{name}", np.zeros(0, np.uint8)) for name in ("lanes", "words", "bits"))
     for column, components, own in zip(arrays["coded/caps"].T.tolist(), functions, members, strict=True):
         lanes, length, size, width, principal, checksum = column
         parts = [counts[:lanes].astype("<u2"), words[:length].astype("<u2"), raw[:size]]
@@ -154,7 +154,7 @@ def squared_distance(a: list[int], b: list[int]) -> int:
 def sources_of(row: int, near: list[set[int]], spacing: int) -> list[int]:
     """Neighbours among the multiples of a spacing, coarse levels first; maybe neighbours of neighbours, too."""
     known = {b for b in near[row] if b % spacing == 0}
-    if len(known) < 3 and sum(len(near[b]) for b in near[row]) <= 256:
+    if len(known) < 5 and sum(len(near[b]) for b in near[row]) <= 256:
         known |= {c for b in near[row] for c in near[b] if c % spacing == 0}
     return sorted(known, key=lambda b: (-stride_of(b), b))[:64]
 
