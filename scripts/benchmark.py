@@ -7,15 +7,19 @@ import sys
 from benchmarks.accuracy import accuracy
 from benchmarks.all_views import all_views
 from benchmarks.compression import compression
+from benchmarks.files import files
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
+from benchmarks.startup import startup
 from benchmarks.transport import dragons, transport
 
 BENCHMARKS = {
     "sphere": sphere,
+    "startup": startup,
     "compression": compression,
+    "files": files,
     "transport": transport,
     "relighting": relighting,
     "accuracy": accuracy,

@@ -29,7 +29,8 @@ def decoded_caps(arrays: dict[str, np.ndarray], functions: list[int], members: l
     """Each cap in turn; ``functions`` are K D of each."""
     surface, contexts = Surface(arrays), Contexts(arrays["coded/contexts"], arrays["coded/prediction"])
     models = token_frequencies() + width_frequencies(contexts.widths)
-    counts, words, raw = (arrays.get(f"coded/{name}", np.zeros(0, np.uint8)) for name in ("lanes", "words", "bits"))
+    nothing = np.zeros(0, dtype=np.uint16)
+    counts, words, raw = (arrays.get(f"coded/{name}", nothing) for name in ("lanes", "words", "bits"))
     for column, components, own in zip(arrays["coded/caps"].T.tolist(), functions, members, strict=True):
         lanes, length, size, width, principal, checksum = column
         parts = [counts[:lanes].astype("<u2"), words[:length].astype("<u2"), raw[:size]]
@@ -136,12 +137,13 @@ class Surface:
         count = len(order)
         row_of = {vertex: row for row, vertex in enumerate(order)}
         near = [{row_of[v] for v in self.neighbours[vertex] if v in row_of} for vertex in order]
+        around = [surroundings(row, near) for row in range(count)]
         yield 4, [Row(0, [], False)]
         for j in reversed(range((count - 1).bit_length())):
             stride = 2**j
             level = []
             for row in range(stride, count, 2 * stride):
-                known = sources_of(row, near, 2 * stride)
+                known = sources_of(row, near, around, 2 * stride)
                 chosen = known or [b for b in (row - stride, row + stride) if b < count]
                 level.append(Row(row, [(b, self.weight(order[row], order[b])) for b in chosen], not known))
             yield min(j, 4), level
@@ -151,11 +153,23 @@ def squared_distance(a: list[int], b: list[int]) -> int:
     return sum((x - y) ** 2 for x, y in zip(a, b, strict=True))
 
 
-def sources_of(row: int, near: list[set[int]], spacing: int) -> list[int]:
-    """Neighbours among the multiples of a spacing, coarse levels first; maybe neighbours of neighbours, too."""
+def surroundings(row: int, near: list[set[int]]) -> set[int]:
+    """A row, its neighbours, and maybe the neighbours of these."""
+    found = {row} | near[row]
+    if sum(len(near[b]) for b in near[row]) <= 256:
+        found |= {c for b in near[row] for c in near[b]}
+    return found
+
+
+def sources_of(row: int, near: list[set[int]], around: list[set[int]], spacing: int) -> list[int]:
+    """What is around a row among the multiples of a spacing, coarse levels first."""
     known = {b for b in near[row] if b % spacing == 0}
-    if len(known) < 5 and sum(len(near[b]) for b in near[row]) <= 256:
-        known |= {c for b in near[row] for c in near[b] if c % spacing == 0}
+    if spacing >= 8:  # of depth 2 and more
+        wide = sum(len(around[b]) for b in around[row]) <= 2048
+        known = {c for b in around[row] for c in around[b]} if wide else around[row]
+    elif len(known) < 5:
+        known = around[row]
+    known = {b for b in known if b % spacing == 0}
     return sorted(known, key=lambda b: (-stride_of(b), b))[:64]
 
 

@@ -80,7 +80,7 @@ class CapBlocks:
 
     def pieces(self) -> list[range]:
         """The caps in pieces whose coefficients are few enough to be coded together."""
-        return pieces_of(np.array([part.size for part in self.members]) * self.widths)
+        return pieces_of(np.array([part.size for part in self.members]) * self.widths, _PIECE)
 
     @cached_property
     def _starts(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]:
@@ -97,9 +97,9 @@ class CapBlocks:
         yield from self.overrides.values()
 
 
-def pieces_of(counts: NDArray[np.int64]) -> list[range]:
-    """Successive caps in pieces of so many coefficients together, from how many each has."""
-    starts = np.flatnonzero(np.diff((np.cumsum(counts) - counts) // _PIECE, prepend=-1))
+def pieces_of(counts: NDArray[np.int64], most: int) -> list[range]:
+    """Successive caps in pieces of nearly so many coefficients together at most, from how many each has."""
+    starts = np.flatnonzero(np.diff((np.cumsum(counts) - counts) // most, prepend=-1))
     return [range(begin, end) for begin, end in zip(starts, [*starts[1:], len(counts)], strict=True)]
 
 

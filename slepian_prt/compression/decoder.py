@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
 
 
+# Coefficients that are decoded together: they take some 40 bytes each meanwhile.
+_PIECE = 1 << 22
+
+
 class CapCoefficients(NamedTuple):
     """One cap's coefficients as numbers.
 
@@ -57,7 +61,8 @@ def decode_all(packed: CompressedTransfer) -> tuple[CapCoefficients, ...]:
         if packed.coded is None:
             _decoded[packed] = tuple(decode(packed, c) for c in range(len(packed.bases)))
         else:
-            pieces = pieces_of(packed.clusters.sizes * np.array([content.width for content in packed.coded.caps]))
+            counts = packed.clusters.sizes * np.array([content.width for content in packed.coded.caps])
+            pieces = pieces_of(counts, _PIECE)
             _decoded[packed] = tuple(cap for piece in pieces for cap in _decode_coded(packed, piece))
     return _decoded[packed]
 

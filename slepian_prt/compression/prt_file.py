@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.file_size import remember_size
 from slepian_prt.compression.film_packing import pack_film
 from slepian_prt.compression.lamp_packing import pack_lamps
-from slepian_prt.compression.stored_mesh.stored import (
-    pack_order,
-)
+from slepian_prt.compression.stored_mesh.stored import pack_order
 from slepian_prt.compression.stored_transfer import check_schema, stored_transfer
 from slepian_prt.compression.transfer_arrays import pack_transfer
 from slepian_prt.compression.vertex_order import in_file_order
@@ -35,6 +32,8 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
 
 def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple[dict[str, Any], dict[str, NDArray]]:
     """The manifest and the arrays of a file."""
+    from importlib.metadata import version  # only here: it takes as long to import as a small file to read
+
     stored, packed = packed.stored, in_file_order(packed)
     manifest: dict[str, Any] = {
         "bandlimit": packed.bandlimit,

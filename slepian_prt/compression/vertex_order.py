@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.stored_mesh.stored import StoredMesh
 from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.scene import Part
 
 
 def in_file_order(packed: CompressedTransfer) -> CompressedTransfer:
@@ -40,12 +42,18 @@ def in_source_order(packed: CompressedTransfer, order: NDArray[np.int64]) -> Com
     return _reordered(packed, np.argsort(order), order)
 
 
-def landmarks(packed: CompressedTransfer, part: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def rounding_of(packed: CompressedTransfer, part: Part) -> float:
+    """How far from its place in the source a vertex of a part is at most."""
+    assert packed.stored is not None
+    piece, entry = packed.stored.entry["pieces"][packed.parts.index(part)], packed.stored.entry
+    return 0.0 if entry["exact"] else math.sqrt(0.75) * float(entry["step"]) * 2.0 ** -piece["shift"]
+
+
+def landmarks(packed: CompressedTransfer, part: Part) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Vertices of a part that are known by number: as they are numbered here, and by the shape it was made from."""
     assert packed.stored is not None
-    of_file, before = packed.stored.entry["pieces"][part]["landmarks"]
-    first = packed.parts[part].first
-    return packed.stored.order[np.array(of_file, dtype=np.int64) + first], np.array(before, dtype=np.int64)
+    of_file, before = packed.stored.entry["pieces"][packed.parts.index(part)]["landmarks"]
+    return packed.stored.order[np.array(of_file, dtype=np.int64) + part.first], np.array(before, dtype=np.int64)
 
 
 def _reordered(packed: CompressedTransfer, chosen: NDArray, order: NDArray) -> CompressedTransfer:

@@ -20,7 +20,7 @@ from scipy.sparse import csc_array
 
 from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.directions import QUARTERS, DirectionSet
-from slepian_prt.transport.visibility import VisibilitySamples
+from slepian_prt.transport.visibility import VisibilitySamples, disagreements
 
 # The constant harmonic's coefficient times this is the part of the hemisphere.
 _MEAN = np.float32(math.sqrt(4.0 * math.pi))
@@ -98,9 +98,8 @@ class OcclusionTables:
 
         By columns, so that a product reads the table once: it is larger than caches, what it is added to is not.
         """
-        a, b, c = (blocked[self._triangles[:, k]] for k in range(3))
-        triangle, place = np.divmod(np.flatnonzero((a != b) | (b != c)), blocked.shape[1])
-        a, b, c = a[triangle, place], b[triangle, place], c[triangle, place]
+        triangle, place = disagreements(blocked, self._triangles)
+        a, b, c = (blocked[self._triangles[triangle, k], place] for k in range(3))
         lone = np.where(b == c, 0, np.where(a == c, 1, 2))  # the corner that disagrees with the other two
         corner = 3 * triangle + lone
         row = corner

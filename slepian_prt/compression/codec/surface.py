@@ -30,10 +30,13 @@ _NEAREST = 20
 # Weights of neighbours are multiples of one part in this: so coarse that sums of products are exact in float64.
 WEIGHT = 1 << 8
 
-# Neighbours of neighbours are looked at where fewer than so many neighbours are known, unless a fan of triangles makes
-# them more than the other number.
+# Neighbours of neighbours are looked at where fewer than so many neighbours are known, and those twice as far on
+# levels from this depth on, unless a fan of triangles makes them too many.
 _FEW = 5
-_MANY = 256
+_WIDE_DEPTH = 2
+_MANY_SECOND = 256
+_MANY_FOURTH = 2048
+_NEXT, _SECOND, _FOURTH = range(3)
 
 # No more neighbours than these are predicted from, the coarsest first.
 _MOST = 64
@@ -212,20 +215,28 @@ class Surface:
         a, b = a[inside], b[inside]
         inside = curve.caps[a] == curve.caps[b]
         a, b = a[inside], b[inside]
-        near = csr_array((np.ones(2 * a.size, dtype=np.int32), (np.r_[a, b], np.r_[b, a])), shape=(count, count))
-        degree = np.diff(near.indptr)
-        row, col = np.repeat(np.arange(count), degree), near.indices.astype(np.int64)
+        both = np.r_[a, b, np.arange(count)], np.r_[b, a, np.arange(count)]
+        near = csr_array((np.ones(both[0].size, dtype=np.int32), both), shape=(count, count))
+        row, col = _entries(near)
+        degree = np.diff(near.indptr) - 1
+        beside = np.bincount(row, degree[col], minlength=count) - degree  # neighbours of neighbours
+        around = _ring(near, near, np.flatnonzero(beside <= _MANY_SECOND)) + near
         known = curve.level[col] > curve.level[row]
         few = np.bincount(row[known], minlength=count) < _FEW
-        few &= np.bincount(row, degree[col], minlength=count) <= _MANY
-        few[curve.level == _FIRST] = False
-        some = np.flatnonzero(few)
-        chosen = near[some]
-        second = (chosen @ near + chosen).tocsr()
-        row2, col2 = np.repeat(some, np.diff(second.indptr)), second.indices.astype(np.int64)
-        known2 = curve.level[col2] > curve.level[row2]
-        known &= ~few[row]
-        return np.concatenate([row[known], row2[known2]]), np.concatenate([col[known], col2[known2]])
+        coarse = curve.level >= _WIDE_DEPTH
+        chosen = np.where(coarse | few, _SECOND, _NEXT)
+        chosen[coarse & (around @ np.diff(around.indptr) <= _MANY_FOURTH)] = _FOURTH
+        # What is further than two edges away counts only if it is known on the finest of these levels.
+        pairs = []
+        for kind, rings in (
+            (_NEXT, near),
+            (_SECOND, around),
+            (_FOURTH, _ring(around, around, np.flatnonzero(chosen == _FOURTH), curve.level > _WIDE_DEPTH)),
+        ):
+            row, col = _entries(rings)
+            known = (chosen[row] == kind) & (curve.level[col] > curve.level[row])
+            pairs.append((row[known], col[known]))
+        return np.concatenate([row for row, _ in pairs]), np.concatenate([col for _, col in pairs])
 
     def _weights(self, a: NDArray, b: NDArray) -> NDArray[np.int64]:
         """1 / (squared distance in edges + 40 squared difference of normals + 1/20), in integers."""
@@ -256,6 +267,26 @@ class _Curve:
     level: NDArray[np.int64]
     place: NDArray[np.int64]
     row_at: NDArray[np.int64]
+
+
+def _entries(matrix: csr_array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of what a matrix holds."""
+    return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)), matrix.indices.astype(np.int64)
+
+
+def _ring(
+    near: csr_array, next_to: csr_array, rows: NDArray[np.int64], columns: NDArray[np.bool_] | None = None
+) -> csr_array:
+    """What the neighbours of some rows have next to them, if it is among the ``columns``; other rows have nothing."""
+    if columns is not None:
+        row, col = _entries(next_to)
+        kept = columns[col]
+        next_to = csr_array((next_to.data[kept], (row[kept], col[kept])), shape=next_to.shape)
+    product = (near[rows] @ next_to).tocsr()
+    held = np.zeros(near.shape[0], dtype=np.int64)
+    held[rows] = np.diff(product.indptr)
+    ends = np.append(0, np.cumsum(held))
+    return csr_array((np.ones(product.nnz, dtype=np.int32), product.indices, ends), shape=near.shape)
 
 
 def _first_entries(matrix: csr_array, count: int) -> csr_array:

@@ -14,7 +14,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.drawing.film_filter import FilmFilter
 from slepian_prt.relighting.drawing.pictures import Picture
-from slepian_prt.relighting.drawing.pixel_rays import OTHER, CameraRays, Corners, Seen
+from slepian_prt.relighting.drawing.pixel_rays import NOTHING, OTHER, CameraRays, Corners, Seen, widened
 from slepian_prt.relighting.drawing.texture_lookup import TextureLookup
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
@@ -27,6 +27,12 @@ _SEED = 17
 
 # By the side of the square that their rays fill: pixels that show small faces, but nothing that ends.
 _SMALL_FACE_STRATA = 4
+
+# An edge that few rays missed is followed for as many times the reach of the filter, which is a pixel at least.
+_FOLLOWED = 30
+
+# By the side of the square that their rays fill: pixels that it may go on into.
+_LOOKING_STRATA = 3
 
 # Of rays that need not be counted.
 _NO_WEIGHT = 0.02
@@ -164,7 +170,7 @@ def aim_camera(scene: Scene, aim: Aim | None, width: int, *, toward_view: bool =
 def trace_camera(
     scene: Scene,
     width: int | None = None,
-    strata: int = 7,
+    strata: int = 6,
     *,
     backs: NDArray[np.integer] | None = None,
     detail: SurfaceDetail | None = None,
@@ -193,30 +199,33 @@ def trace_camera(
     backs = back_vertices(scene.parts, len(scene.mesh.positions)) if backs is None else backs
     rays = CameraRays(scene, view, backs, None if detail is None else TextureLookup(scene.mi, detail))
     film_filter = FilmFilter.of_film(scene.mi, view.film())
-    corners = Corners(rays)
-    pixels = corners.rows * corners.columns
-    if (middle_weight := film_filter.middle_weight) is None:
-        edge, small = np.ones(pixels, dtype=bool), np.zeros(pixels, dtype=bool)
-    else:
-        edge, small = corners.sort(_areas_about(scene), film_filter.reach)
-    plain = np.flatnonzero(~(edge | small))
-    pieces = [] if middle_weight is None else _plain_pixels(corners, plain, middle_weight)
+    weight = film_filter.middle_weight
+    corners = Corners(rays, in_middle=weight is not None and abs(weight) > _NO_WEIGHT)
     rng = np.random.default_rng(_SEED)
-    pieces += _sampled_pixels(rays, film_filter, np.flatnonzero(edge), strata, rng)
-    pieces += _sampled_pixels(rays, film_filter, np.flatnonzero(small), min(strata, _SMALL_FACE_STRATA), rng)
+    if weight is None:
+        whole = np.ones((corners.rows, corners.columns), dtype=bool)
+        pieces = [piece for piece, _ in _sampled_pixels(rays, film_filter, whole, strata, rng)]
+    else:
+        edge, small = corners.sort(_areas_about(scene))
+        pieces, edge = _followed_edges(rays, film_filter, widened(edge, film_filter.reach), strata, rng)
+        small &= ~edge
+        few = min(strata, _SMALL_FACE_STRATA)
+        pieces += [piece for piece, _ in _sampled_pixels(rays, film_filter, small, few, rng)]
+        plain = ~(edge | small).ravel() & (corners.seen.face[corners.first_middle :] != NOTHING)
+        pieces += _plain_pixels(corners, np.flatnonzero(plain).astype(np.int32), weight)
     dr.flush_malloc_cache()
-    return _camera(pieces, corners, rays.corners, len(backs))
+    return _camera(pieces, corners, rays.corners, len(backs), middle_directions(scene.mi, view))
 
 
 class _Pixels(NamedTuple):
     """Some pixels (n,), ascending, and what each of k rays sees there; ``weights`` (n, k) sum to one."""
 
-    pixels: NDArray[np.int64]
+    pixels: NDArray[np.integer]
     weights: NDArray[np.float32]
     seen: Seen
 
 
-def _plain_pixels(corners: Corners, pixels: NDArray[np.int64], middle_weight: float) -> list[_Pixels]:
+def _plain_pixels(corners: Corners, pixels: NDArray[np.int32], middle_weight: float) -> list[_Pixels]:
     """Pixels of which the middle and the corners tell all; those of one face as if it was met once."""
     weights = np.array([middle_weight, *[0.25 * (1.0 - middle_weight)] * 4], dtype=np.float32)
     rays = corners.around(pixels)
@@ -234,21 +243,49 @@ def _plain_pixels(corners: Corners, pixels: NDArray[np.int64], middle_weight: fl
     ]
 
 
+def _followed_edges(
+    rays: CameraRays, film_filter: FilmFilter, edge: NDArray[np.bool_], strata: int, rng: np.random.Generator
+) -> tuple[list[_Pixels], NDArray[np.bool_]]:
+    """Pixels (H, W) in which something ends, and those that it goes on into though few rays did not meet it there."""
+    pieces, looked = [], edge.copy()
+    done = np.zeros_like(edge)
+    for _ in range(_FOLLOWED):
+        ends = np.zeros_like(edge)
+        for piece, found in _sampled_pixels(rays, film_filter, edge, strata, rng):
+            pieces.append(piece)
+            ends.ravel()[piece.pixels] = found
+        done |= edge
+        near = widened(ends, max(1, film_filter.reach)) & ~looked
+        if not near.any():
+            break
+        looked |= near
+        edge = np.zeros_like(edge)
+        for piece, found in _sampled_pixels(rays, film_filter, near, _LOOKING_STRATA, rng):
+            edge.ravel()[piece.pixels] = found
+    return pieces, done
+
+
 def _sampled_pixels(
-    rays: CameraRays, film_filter: FilmFilter, pixels: NDArray[np.int64], strata: int, rng: np.random.Generator
-) -> Iterator[_Pixels]:
-    """Pixels whose filter is sampled, jittered in each of its strata."""
-    stratum = np.arange(strata * strata)
+    rays: CameraRays, film_filter: FilmFilter, chosen: NDArray[np.bool_], strata: int, rng: np.random.Generator
+) -> Iterator[tuple[_Pixels, NDArray[np.bool_]]]:
+    """Pixels (H, W) whose filter is sampled, jittered in each of its strata; and whether something ends in each."""
+    pixels, stratum = np.flatnonzero(chosen), np.arange(strata * strata)
     jitter = rng.random((2, pixels.size, stratum.size), dtype=np.float32)
     dx, sign_x = film_filter.sample((stratum % strata + jitter[0]) / strata)
     dy, sign_y = film_filter.sample((stratum // strata + jitter[1]) / strata)
     weights = sign_x * sign_y
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1.0)
-    for block, seen in rays.see_many(pixels, dx, dy):
-        yield _Pixels(pixels[block], weights[block], seen)
+    for block, seen, ends in rays.see_many(pixels, dx, dy):
+        yield _Pixels(pixels[block], weights[block], seen), ends
 
 
-def _camera(pieces: Sequence[_Pixels], corners: Corners, table: NDArray[np.int32], receivers: int) -> Camera:
+def _camera(
+    pieces: Sequence[_Pixels],
+    corners: Corners,
+    table: NDArray[np.int32],
+    receivers: int,
+    directions: NDArray[np.float32],
+) -> Camera:
     """Rows of the weights of all pixels put together; ``table`` is that of the receivers at the corners of faces."""
     pixels = corners.rows * corners.columns
     alpha, behind = np.zeros(pixels, dtype=np.float32), np.zeros(pixels, dtype=np.float32)
@@ -277,7 +314,7 @@ def _camera(pieces: Sequence[_Pixels], corners: Corners, table: NDArray[np.int32
     weights = tuple(csr_array((data, vertices, indices), shape=(pixels, receivers)) for data in values)
     shape = corners.rows, corners.columns
     alpha, behind = np.clip(alpha, 0.0, 1.0).reshape(shape), np.maximum(behind, 0.0).reshape(shape)
-    return Camera(weights, alpha, behind, corners.directions())
+    return Camera(weights, alpha, behind, directions)
 
 
 def _areas_about(scene: Scene) -> NDArray[np.float64]:

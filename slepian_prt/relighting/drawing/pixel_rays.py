@@ -25,6 +25,13 @@ _COHERENT = 0.8
 _OFF_PLANE = 0.7
 _SAME_REFLECTANCE = 0.01
 
+# Of an additive recurrence in two dimensions (Roberts 2018), by the root of x³ = x + 1, in 32 bits.
+_STEPS = tuple(int(step * 2**32) for step in (0.7548776662466927, 0.5698402909980532))
+_UNIT = (1.0 - 2.0**-24) * 2.0**-32
+
+# The side of the square, in pixels, that corners are anywhere in.
+_ABOUT_CORNER = 0.5
+
 # Faces of fewer square pixels than this are seen too coarsely by the corners of pixels.
 _SMALL_FACE = 2.0
 
@@ -64,9 +71,31 @@ class _Met(NamedTuple):
     direction: Any
 
     def seen(self) -> Seen:
+        """For NumPy."""
         face, u, v = (np.array(part) for part in (self.face, self.u, self.v))
         reflectance = np.ones((face.size, 1), dtype=np.float32)
         return Seen(face, u, v, reflectance if self.reflectance is None else np.array(self.reflectance).T)
+
+    def differ(self, mi: Any, one: Any, other: Any) -> tuple[Any, Any, Any]:
+        """Whether something ends between some rays and others, how far apart they are (squared), and the cosine there.
+
+        Something ends where it is another kind of thing, or a point far from the plane of the other, or its reflectance
+        is another.
+        """
+        import drjit as dr
+
+        face, others = dr.gather(mi.Int32, self.face, one), dr.gather(mi.Int32, self.face, other)
+        both = (face >= 0) & (others >= 0)
+        normal, facing = _gathered(mi, self.normal, one, both), _gathered(mi, self.direction, one, both)
+        apart = _gathered(mi, self.point, other, both) - _gathered(mi, self.point, one, both)
+        across = dr.squared_norm(apart) - dr.square(dr.dot(apart, facing))
+        off_plane = dr.square(dr.dot(apart, normal)) > _OFF_PLANE**2 * across
+        turned = dr.dot(_gathered(mi, self.normal, other, both), normal) < _COHERENT
+        ends = (dr.minimum(face, 0) != dr.minimum(others, 0)) | (both & (off_plane | turned))
+        if self.reflectance is not None:
+            change = _gathered(mi, self.reflectance, one, both) - _gathered(mi, self.reflectance, other, both)
+            ends |= both & (dr.max(dr.abs(change)) > _SAME_REFLECTANCE)
+        return ends, across, dr.abs(dr.dot(normal, facing))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,19 +128,24 @@ class CameraRays:
         fronts = self.scene.faces
         return np.concatenate([fronts, self.backs[fronts]]).astype(np.int32)
 
-    def see(self, x: NDArray, y: NDArray) -> Seen:
-        """What is seen through places on the film, in pixels, float32."""
-        mi = self.scene.mi
-        return self._meet(mi.Float(x), mi.Float(y)).seen()
+    def see_many(self, pixels: NDArray, dx: NDArray, dy: NDArray) -> Iterator[tuple[slice, Seen, NDArray[np.bool_]]]:
+        """What pixels (n,) show through some places each, (n, k) float32 from their middles; of so many at a time.
 
-    def see_many(self, pixels: NDArray, dx: NDArray, dy: NDArray) -> Iterator[tuple[slice, Seen]]:
-        """The same of pixels (n,), through some places each, (n, k) from their middles; of so many pixels at a time."""
-        step = max(1, _RAYS // dx.shape[1])
+        With it comes for each pixel whether something ends in it.
+        """
+        import drjit as dr
+
+        mi, count = self.scene.mi, dx.shape[1]
+        step = max(1, _RAYS // count)
         for begin in range(0, len(pixels), step):
             block = slice(begin, begin + step)
-            x = (pixels[block] % self.size[0] + 0.5).astype(np.float32)[:, None]
-            y = (pixels[block] // self.size[0] + 0.5).astype(np.float32)[:, None]
-            yield block, self.see((x + dx[block]).ravel(), (y + dy[block]).ravel())
+            x = (pixels[block] % self.size[0] + 0.5).astype(np.float32)[:, None] + dx[block]
+            y = (pixels[block] // self.size[0] + 0.5).astype(np.float32)[:, None] + dy[block]
+            met = self._meet(mi.Float(x.ravel()), mi.Float(y.ravel()))
+            lane = dr.arange(mi.UInt32, x.size)
+            first = lane - lane % dr.opaque(mi.UInt32, count)
+            ends, _, _ = met.differ(mi, first, lane)
+            yield block, met.seen(), np.asarray(np.array(ends).reshape(x.shape).any(axis=1))
 
     def _meet(self, x: Any, y: Any) -> _Met:
         import drjit as dr
@@ -139,85 +173,82 @@ class CameraRays:
 
 
 class Corners:
-    """What is seen through the corners of all pixels and through their middles, one ray for each."""
+    """What is seen through the corners of all pixels and through a place within each, one ray for each.
 
-    def __init__(self, rays: CameraRays) -> None:
+    Either the corners or the middles are not met exactly, so that no thin thing lies between the rows of all rays.
+
+    Parameters
+    ----------
+    rays : CameraRays
+    in_middle : bool
+        Whether it is the middles that count: then corners are taken a little off. Else any place within a pixel serves.
+    """
+
+    def __init__(self, rays: CameraRays, *, in_middle: bool) -> None:
         import drjit as dr
 
         self._mi, self._rays = rays.scene.mi, rays
         self.columns, self.rows = rays.size
         mi = self._mi
-        lane = dr.arange(mi.UInt32, (self.columns + 1) * (self.rows + 1) + self.columns * self.rows)
+        lane = dr.arange(mi.UInt32, self.first_middle + self.columns * self.rows)
         first_middle, wide, narrow = self._opaque()
         middle = lane >= first_middle
         place = dr.select(middle, lane - first_middle, lane)
         width = dr.select(middle, narrow, wide)
         row = place // width
-        shift = dr.select(middle, mi.Float(0.5), 0.0)
-        self._met = rays._meet(mi.Float(place - row * width) + shift, mi.Float(row) + shift)
+        anywhere = mi.Point2f(*(mi.Float(place * mi.UInt32(step)) * _UNIT for step in _STEPS))
+        if in_middle:
+            shift = dr.select(middle, mi.Point2f(0.5), (anywhere - 0.5) * _ABOUT_CORNER)
+        else:
+            shift = dr.select(middle, anywhere, mi.Point2f(0.0))
+        self._met = rays._meet(mi.Float(place - row * width) + shift.x, mi.Float(row) + shift.y)
         self.seen = self._met.seen()
 
-    def around(self, pixels: NDArray) -> NDArray[np.int64]:
-        """(n, 5) rays of the middles and of the corners of pixels."""
+    def around(self, pixels: NDArray[np.int32]) -> NDArray[np.int32]:
+        """(n, 5) rays within pixels and through their corners."""
         first = pixels // self.columns * (self.columns + 1) + pixels % self.columns
         below = first + self.columns + 1
-        return np.stack([self._first_middle + pixels, first, first + 1, below, below + 1], axis=1)
+        return np.stack([self.first_middle + pixels, first, first + 1, below, below + 1], axis=1)
 
-    def directions(self) -> NDArray[np.float32]:
-        """(H, W, 3) through the middles."""
-        found = np.array(self._met.direction, dtype=np.float32).T[self._first_middle :]
-        return np.ascontiguousarray(found).reshape(self.rows, self.columns, 3)
-
-    def sort(self, areas: NDArray[np.float64], reach: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Pixels (H W,) in which or near which something ends, and others that show faces too small for few rays.
+    def sort(self, areas: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Pixels (H, W) in which something ends, and those that show faces too small for few rays.
 
         Parameters
         ----------
         areas : (V,)
             Of the faces about each receiver, in the space that Mitsuba traces in.
-        reach : int
-            How near, in pixels.
         """
         import drjit as dr
 
         mi, met = self._mi, self._met
         pixel = dr.arange(mi.UInt32, self.columns * self.rows)
         first_middle, wide, narrow = self._opaque()
-        row = pixel // narrow
-        first, middle = pixel + row, pixel + first_middle
+        first, middle = pixel + pixel // narrow, pixel + first_middle
+        edge, distance, cosine = mi.Bool(False), mi.Float(0.0), mi.Float(0.0)
+        for corner in (first, first + 1, first + wide, first + wide + 1):
+            ends, across, cosine = met.differ(mi, middle, corner)
+            edge |= ends
+            distance = dr.maximum(distance, across)
         face = dr.gather(mi.Int32, met.face, middle)
         shown = face >= 0
-        normal, point, facing = (_gathered(mi, part, middle, shown) for part in (met.normal, met.point, met.direction))
-        edge, off, across, varied = mi.Bool(False), mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)
-        for corner in (first, first + 1, first + wide, first + wide + 1):
-            other = dr.gather(mi.Int32, met.face, corner)
-            edge |= (dr.minimum(face, 0) != dr.minimum(other, 0)) | (
-                shown & (dr.dot(_gathered(mi, met.normal, corner, shown), normal) < _COHERENT)
-            )
-            apart = _gathered(mi, met.point, corner, shown) - point
-            off = dr.maximum(off, dr.abs(dr.dot(apart, normal)))
-            across += 0.25 * (dr.squared_norm(apart) - dr.square(dr.dot(apart, facing)))
-            if met.reflectance is not None:
-                here, there = (_gathered(mi, met.reflectance, place, shown) for place in (middle, corner))
-                varied = dr.maximum(varied, dr.max(dr.abs(here - there)))
-        edge |= shown & ((dr.square(off) > _OFF_PLANE**2 * across) | (varied > _SAME_REFLECTANCE))
-        # A corner is half a diagonal away from the middle.
         of_face = np.append(areas[self._rays.corners].mean(axis=1), 0.0)
         area = dr.gather(mi.Float, mi.Float(of_face), mi.UInt32(dr.maximum(face, 0)), shown)
-        small = shown & (dr.abs(dr.dot(normal, facing)) * area < _SMALL_FACE * 2.0 * across)
+        # The farthest corner is at least half a diagonal away.
+        small = shown & (cosine * area < _SMALL_FACE * 2.0 * distance)
         dr.eval(edge, small)
-        wide_edge = widened(np.array(edge).reshape(self.rows, self.columns), reach).ravel()
-        return wide_edge, np.array(small) & ~wide_edge
+        shape = self.rows, self.columns
+        return np.array(edge).reshape(shape), np.array(small).reshape(shape)
 
     @property
-    def _first_middle(self) -> int:
+    def first_middle(self) -> int:
+        """Number of the first ray that goes through no corner."""
         return (self.columns + 1) * (self.rows + 1)
 
     def _opaque(self) -> tuple[Any, Any, Any]:
         """The number of the first middle, and how many corners and middles are in a row: the same kernel for any."""
         import drjit as dr
 
-        numbers = (self._first_middle, self.columns + 1, self.columns)
+        numbers = (self.first_middle, self.columns + 1, self.columns)
         return tuple(dr.opaque(self._mi.UInt32, number) for number in numbers)
 
 

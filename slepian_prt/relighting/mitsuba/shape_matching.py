@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.vertex_order import landmarks
+from slepian_prt.compression.vertex_order import landmarks, rounding_of
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.mitsuba.placement import (
     MOVED,
@@ -117,6 +117,7 @@ def match_shapes(mi: Any, scene: Any, packed: CompressedTransfer, file: str) -> 
             placed.append(PlacedPart(part, shape, flat=own))
     placement = find_placement(anchors, file)
     positions = placement(packed.mesh.positions)
+    placed = [replace(one, moved=placement.scale * rounding_of(packed, one.part)) for one in placed]
     reached = find_reaches(mi, scene, placed, positions, packed.mesh.faces, file)
     meshes = [MatchedMesh(*one, _faces_in_file(mi, *one, positions, packed.mesh.faces, file)) for one in same]
     own_meshes = [shape for shape in shapes if _has_own_vertices(shape) and _is_known(shape, same, placed)]
@@ -163,7 +164,7 @@ def _known_vertices(mi: Any, mesh: Any, part: Part, packed: CompressedTransfer) 
     same_order = Anchor(part.name, in_scene, in_file[: len(in_scene)])
     if misfit(fit_similarity(same_order.in_scene, same_order.in_file), same_order) <= MOVED:
         return same_order
-    now, before = landmarks(packed, packed.parts.index(part))
+    now, before = landmarks(packed, part)
     chosen = before < len(in_scene)
     if not chosen.any():
         return same_order

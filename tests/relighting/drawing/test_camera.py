@@ -87,18 +87,20 @@ def test_few_rays_show_what_many_do(things):
     radiance[z < -1.2] *= 0.2
     ours, theirs = few.picture(radiance), many.picture(radiance)
     alpha_error, error = ours.alpha - theirs.alpha, ours.radiance - theirs.radiance
-    # A pixel on an edge has 49 rays, in strata: a standard deviation of about 0.02, of 0.06 on a rod so thin.
+    # A pixel on an edge has 36 rays, in strata: a standard deviation of about 0.03, of 0.07 on a rod so thin.
     assert np.sqrt(np.mean(alpha_error**2)) <= 0.006
-    assert np.abs(alpha_error).max() <= 0.24
+    assert np.abs(alpha_error).max() <= 0.28
     assert np.sqrt(np.mean(error**2)) <= 0.01
-    assert np.abs(error).max() <= 1.5 * 0.24
+    assert np.abs(error).max() <= 1.5 * 0.28
     # No edge is drawn in or out, and nothing is lost.
     assert abs(alpha_error.mean()) <= 3e-4
     assert np.all(ours.alpha[theirs.alpha > 0.1] > 0.0)
     assert_exact(ours.alpha[theirs.alpha == 0.0], 0.0, "nothing is there")
-    np.testing.assert_allclose(ours.alpha[theirs.alpha == 1.0], 1.0, rtol=0.0, atol=1e-6)
-    inside = (theirs.alpha == 1.0) & (np.abs(error).max(axis=2) < 0.05)
-    assert np.mean(inside[theirs.alpha == 1.0]) > 0.99
+    whole = theirs.alpha > 1.0 - 1e-5
+    np.testing.assert_allclose(ours.alpha[whole], 1.0, rtol=0.0, atol=1e-5)
+    # Inside, but for the edges of one thing before another, there is no speckle.
+    assert np.mean(np.abs(error[whole]).max(axis=1) < 0.01) > 0.93
+    assert np.sqrt(np.mean(error[whole] ** 2)) < 0.01
 
 
 def test_few_rays_are_few(things, monkeypatch):

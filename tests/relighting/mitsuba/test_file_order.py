@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import slepian_prt as sp
 from slepian_prt.relighting.mitsuba.shape_matching import match_shapes
@@ -66,3 +67,19 @@ def test_what_was_changed_since_is_refused(mi, tmp_path):
     scene = mi.load_dict({"type": "scene", "bumpy": in_mitsuba(mi, replace(mesh, positions=dented), "bumpy")})
     with pytest.raises(sp.UserError, match=r"bumpy\.prt: shape 'bumpy' of the scene .* changed since"):
         match_shapes(mi, scene, read, "bumpy.prt")
+
+
+def test_surfaces_are_found_though_their_vertices_were_rounded(mi, tmp_path):
+    """A tilted plane that the file has cut finer: its vertices are off the plane by half a step of 1/65,535."""
+    square = np.array([[-1.0, 0.0, -1.0], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0]])
+    cut, faces = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(square, np.array([[0, 1, 2], [0, 2, 3]])))
+    tilt = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    mesh = make_mesh(cut @ tilt.T, faces, name="sheet")
+    packed = sp.compress(sp.precompute(mesh, bandlimit=1, samples=16, effects="none"), clusters=1)
+    packed.save(tmp_path / "sheet.prt")
+    coarse = make_mesh(mesh.positions[:4], [[0, 1, 2], [0, 2, 3]])
+    scene = mi.load_dict({"type": "scene", "sheet": in_mitsuba(mi, coarse, "sheet")})
+    (placed,) = match_shapes(mi, scene, sp.load(tmp_path / "sheet.prt"), "sheet.prt").by_place
+    off = np.abs((packed.mesh.positions @ tilt)[:, 1]).max()
+    assert off > 64.0 * np.spacing(np.float32(1.0))  # more than rounding to float32 would explain
+    assert off <= placed.moved < placed.reach <= 10.0 * off
