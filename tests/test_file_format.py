@@ -220,6 +220,31 @@ def test_meshes_of_any_size(size, rng, tmp_path):
     agreed_on(made, tmp_path)
 
 
+def test_vertices_of_many_edges(rng, tmp_path):
+    """Surroundings of surroundings, which count on coarse levels: more than 2048 inside, fewer at the border."""
+    side = 24
+    column, row = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
+    faces = []
+    for reach in (1, 2):
+        inside = (column < side - reach) & (row < side - reach)
+        corners = [(row * side + column)[inside], (row * side + column + reach)[inside]]
+        faces.append(np.stack([*corners, ((row + reach) * side + column)[inside]], axis=1))
+    heights = np.sin(column / 3.0) * np.cos(row / 5.0)
+    sheet = sp.make_mesh(np.stack([column, row, heights], axis=1), np.concatenate(faces))
+    agreed_on(sp.compress(made_up(sheet, rng), clusters=1, terms=3, coding="coded"), tmp_path)
+
+
+def test_caps_wider_than_those_of_the_sample(rng, tmp_path, monkeypatch):
+    """What all caps are coded with is fitted to some; here to the one of the fewest functions."""
+    options = {"basis": "pca", "clusters": 8, "tolerance": 0.02}
+    transfer = made_up(bumpy(3), rng)
+    counts = [basis.count for basis in sp.compress(transfer, **options).bases]
+    assert min(counts) < max(counts)
+    narrowest = int(np.argmin(counts))
+    monkeypatch.setattr("slepian_prt.compression.encoder.sample_caps", lambda learned, receivers: [narrowest])
+    agreed_on(sp.compress(transfer, **options), tmp_path)
+
+
 @pytest.mark.parametrize(("far", "used"), [(100.0, True), (1000.0, False), (1e9, False)])
 def test_edges_of_any_length(far, used, rng, tmp_path):
     """A plane and a vertex far away: so far that edges are a few units, or none. A face has one corner twice."""
