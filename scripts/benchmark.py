@@ -7,6 +7,7 @@ import sys
 from benchmarks.accuracy import accuracy
 from benchmarks.all_views import all_views
 from benchmarks.compression import compression
+from benchmarks.files import files
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.smoothing import smoothing
@@ -18,6 +19,7 @@ BENCHMARKS = {
     "sphere": sphere,
     "startup": startup,
     "compression": compression,
+    "files": files,
     "transport": transport,
     "relighting": relighting,
     "accuracy": accuracy,

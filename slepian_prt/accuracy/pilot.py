@@ -18,6 +18,7 @@ from slepian_prt.accuracy.tuning import TUNING, SearchTuning
 from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer
 from slepian_prt.compression.learning import learn_bases, pilot_of
 from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stored_mesh.stored import store_mesh
 from slepian_prt.evaluation.vertex_error import ErrorMetric
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.transport.estimator import Estimator
@@ -163,7 +164,8 @@ class Pilot:
             higher = max(bandlimit, min(2 * bandlimit + tuning.beyond_bandlimit, tuning.highest_beyond))
             transport_error = -self._new_source(samples, higher, seed + 1).estimate(tried).vectors
             transport_error[:, :, : vectors.shape[2]] += vectors
-        receivers = (scene.mesh if transfer is None else transfer.mesh).receivers
+        mesh = scene.mesh if transfer is None else transfer.mesh
+        receivers = store_mesh(mesh, scene.parts, exact=settings.exact_mesh).mesh.receivers
         toward_view = transfer is not None and transfer.toward_view
         learned = learn_bases(settings, receivers, grouping, bandlimit, seed, pilot_vectors, toward_view=toward_view)
         return CodingPilot(learned, parts, vectors, transport_error, self.metric, tuning)

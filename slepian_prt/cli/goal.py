@@ -25,6 +25,8 @@ def precompute_toward(
     settings: CompressionSettings,
     transport: TransportSettings,
     started: float,
+    *,
+    keep_order: bool,
 ) -> None:
     """Toward a goal; what was foreseen and what came of it is told."""
     from slepian_prt.accuracy.run import precompute_within
@@ -43,7 +45,7 @@ def precompute_toward(
             report=report,
         )
     print_verification(found.verification, goal)
-    found.packed.save(output)
+    found.packed.save(output, keep_order=keep_order)
     say(f"{output}: {describe(found.packed)}; {time.perf_counter() - started:.1f} s in all")
 
 

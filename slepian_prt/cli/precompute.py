@@ -55,6 +55,18 @@ _compression_options = together(
         type=Names("coding"),
         help="Coefficients: predicted, rounded, entropy-coded; or plain.  [default: coded; by --terms float32]",
     ),
+    click.option(
+        "--exact-mesh",
+        is_flag=True,
+        default=False,
+        help="Positions and albedo to the bit, normals in float32.  [default: to 1/65535 of the model, 0.25 degrees]",
+    ),
+)
+
+_keep_order_option = click.option(
+    "--keep-order",
+    is_flag=True,
+    help="Vertices in the order of SCENE, not in that of the file, which is 2 bytes smaller for each.",
 )
 
 _goal_options = together(
@@ -77,6 +89,7 @@ _goal_options = together(
 @_goal_options
 @transport_options
 @_compression_options
+@_keep_order_option
 @grouping_options
 @click.pass_context
 def precompute(
@@ -88,6 +101,7 @@ def precompute(
     environment: tuple[str, ...],
     light_prior: tuple[str, ...],
     clamp_negative: bool,
+    keep_order: bool,
     **options: Any,
 ) -> None:
     """Precompute the transfer of SCENE (ply, obj, stl, off, glb, gltf or Mitsuba xml), compress it, write one file.
@@ -128,12 +142,14 @@ def precompute(
         goal = Goal(max_error, max_seconds, **given)
         goal.check()
         light = read_light(environment, light_prior, clamp_negative)
-        precompute_toward(scene, output, goal, light, settings, transport, started)
+        precompute_toward(scene, output, goal, light, settings, transport, started, keep_order=keep_order)
     else:
-        _precompute(scene, output, settings, transport)
+        _precompute(scene, output, settings, transport, keep_order=keep_order)
 
 
-def _precompute(scene: str, output: str, settings: CompressionSettings, transport: TransportSettings) -> None:
+def _precompute(
+    scene: str, output: str, settings: CompressionSettings, transport: TransportSettings, *, keep_order: bool
+) -> None:
     """As asked for."""
     from slepian_prt.cli.terminal import describe, print_plan, progress
     from slepian_prt.compression.noise import finest_tolerance
@@ -143,7 +159,7 @@ def _precompute(scene: str, output: str, settings: CompressionSettings, transpor
         packed = precompute_compressed(scene, settings, transport, on_plan=print_plan, advance=advance, report=report)
     if transport.bounces is not None and packed.bounces < transport.bounces:
         note(f"`bounces={transport.bounces}` has no effect: no light between surfaces is simulated (see the plan)")
-    packed.save(output)
+    packed.save(output, keep_order=keep_order)
     error = settings.expected_error(packed.expected)
     wanted = settings.resolved_tolerance
     if packed.path_noise is not None:

@@ -57,7 +57,8 @@ def describe(packed: CompressedTransfer) -> str:
     """What a transfer file holds, in short."""
     return (
         f"{len(packed.mesh.positions)} vertices, {packed.basis}, {packed.terms:.4g} functions of "
-        f"{(packed.bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.2f} bytes per vertex"
+        f"{(packed.bandlimit + 1) ** 2} in {len(packed.bases)} caps, {packed.bytes_per_vertex:.2f} bytes per vertex, "
+        f"{packed.file_bytes_per_vertex:.2f} with the mesh and all"
     )
 
 

@@ -20,12 +20,12 @@ def fingerprint(planned: PlannedScene, projection: Projection) -> str:
     digest = hashlib.sha256()
     scene, settings, plan, learned = planned.scene, planned.settings, planned.plan, projection.learned
     numbers = (version("slepian_prt"), scene.mi.variant(), settings.bandlimit, settings.seed, plan.nodes)
-    digest.update(repr(numbers).encode())
+    digest.update(repr((*numbers, planned.estimator().block_size, scene.is_robust)).encode())
     mesh = scene.mesh
     arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
     for shape in (*scene.shapes, *instanced_shapes(scene)):
         arrays += shape_arrays(scene.mi, shape)
-    arrays += [learned.clusters.index, *(basis.analysis for basis in projection.bases)]
+    arrays += [learned.normals, learned.clusters.index, *(basis.analysis for basis in projection.bases)]
     if learned.pilot is not None and learned.pilot.mean is not None:
         arrays.append(learned.pilot.mean.zonal)
     for array in arrays:

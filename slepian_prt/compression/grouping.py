@@ -9,8 +9,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.clustering import Clusters, cluster_axes, cluster_by_occlusion, cluster_surface
+from slepian_prt.compression.clustering import (
+    Clusters,
+    cluster_axes,
+    cluster_by_occlusion,
+    cluster_surface,
+    clusters_of_sites,
+)
 from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stored_mesh.stored import store_mesh
+from slepian_prt.compression.stored_mesh.transfers import as_stored
 from slepian_prt.scene.receivers import Receivers
 from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.directions import SMALLEST_SET
@@ -33,7 +41,8 @@ class Grouping(NamedTuple):
 
 
 def group_transfer(settings: CompressionSettings, transfer: Transfer) -> Grouping:
-    """Clusters as asked, from vectors that are there."""
+    """Clusters as asked, from vectors that are there, of the mesh as a file has it."""
+    transfer = as_stored(transfer, exact=settings.exact_mesh)
     first = transfer.vectors.mean(axis=1)
     open_part = first[:, 0] * np.float32(math.sqrt(4.0 * math.pi))
     axes = transfer.axes
@@ -44,7 +53,7 @@ def group_transfer(settings: CompressionSettings, transfer: Transfer) -> Groupin
 
 def group_scene(settings: CompressionSettings, planned: PlannedScene) -> Grouping:
     """Clusters as asked, before transfer is there: after a quick look around if that takes one."""
-    receivers = planned.scene.mesh.receivers
+    receivers = store_mesh(planned.scene.mesh, planned.scene.parts, exact=settings.exact_mesh).mesh.receivers
     axes, openness = receivers.normals, np.ones(len(receivers), dtype=np.float32)
     if settings.group_by == "bent" or settings.occlusion_classes > 1:
         quick = DirectTransfer(planned.scene, 1, SMALLEST_SET, planned.plan.shadowed, planned.settings.seed)
@@ -53,6 +62,23 @@ def group_scene(settings: CompressionSettings, planned: PlannedScene) -> Groupin
         if settings.group_by == "bent":
             axes = bent_normals(survey.vectors[:, 0], axes)
     return _cluster(settings, receivers, axes, openness)
+
+
+def regroup(clusters: Clusters | Grouping, transfer: Transfer) -> Grouping:
+    """Clusters that were made before, on a mesh as a file has it: of sites, readers tell by its normals which is whose.
+
+    Parameters
+    ----------
+    clusters : Clusters of the transfer's own axes, or Grouping
+    transfer : Transfer
+        Of `as_stored`.
+    """
+    grouping = clusters if isinstance(clusters, Grouping) else Grouping(clusters, transfer.axes)
+    if grouping.clusters.sites is None:
+        return grouping
+    found = clusters_of_sites(grouping.clusters.sites, transfer.mesh.normals)
+    same = np.array_equal(found.index, grouping.clusters.index)
+    return grouping if same else Grouping(found, transfer.mesh.normals)
 
 
 def bent_normals(vectors: NDArray, normals: NDArray) -> NDArray[np.float64]:

@@ -53,6 +53,8 @@ class CompressionSettings:
         Second stage: principal axes inside the coefficients of each cap. By default where it makes the file smaller.
     coding : coded, float16 or float32, optional
         By default ``coded`` with a tolerance, and ``float32`` with a given number of functions.
+    exact_mesh : bool
+        Whether positions and albedo of the mesh are kept to the bit, and its normals in float32.
     """
 
     basis: str = "adapted"
@@ -66,6 +68,7 @@ class CompressionSettings:
     light_prior: LightPrior | None = None
     refine: bool | None = None
     coding: str | None = None
+    exact_mesh: bool = False
 
     @property
     def by_number(self) -> bool:

@@ -22,12 +22,14 @@ from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart, encode
 from slepian_prt.compression.fingerprint import fingerprint
-from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer
+from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer, regroup
 from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_bases, pilot_of
 from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
 from slepian_prt.compression.projection import Projection, choose_projection, widen
 from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettings
+from slepian_prt.compression.stored_mesh.stored import StoredMesh, store_mesh
+from slepian_prt.compression.stored_mesh.transfers import as_stored, stored_mesh_of
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
@@ -69,6 +71,7 @@ def compress(
     light_prior: LightPrior | None = None,
     refine: bool | None = None,
     coding: str | None = None,
+    exact_mesh: bool = False,
     report: Report = _silent,
 ) -> CompressedTransfer:
     """Cluster, project, truncate and code transfer vectors.
@@ -105,6 +108,9 @@ def compress(
     coding : ``coded``, ``float16`` or ``float32``, optional
         Coefficients predicted, rounded and entropy-coded, or plain. By default ``coded`` with a tolerance, and
         ``float32`` with a given number of functions.
+    exact_mesh : bool
+        Whether positions and albedo of the mesh are kept to the bit, and normals in float32. By default positions are
+        rounded to 1/65,535 of the largest side of the mesh, normals to a quarter of a degree; see `store_mesh`.
     report : callable
         Told what is being done.
 
@@ -117,28 +123,30 @@ def compress(
     UserError
         An unknown name, a number outside its range, or options that exclude each other.
     """
-    if isinstance(clusters, Clusters):
-        clusters = Grouping(clusters, transfer.axes)
-    grouping = clusters if isinstance(clusters, Grouping) else None
     settings = CompressionSettings(
         basis=basis,
         tolerance=tolerance,
         terms=terms,
         truncate=truncate,
         epsilon=epsilon,
-        clusters=DEFAULT_CLUSTERS if isinstance(clusters, Grouping) else clusters,
+        clusters=DEFAULT_CLUSTERS if isinstance(clusters, Clusters | Grouping) else clusters,
         group_by=group_by,
         occlusion_classes=occlusion_classes,
         light_prior=light_prior,
         refine=refine,
         coding=coding,
+        exact_mesh=exact_mesh,
     )
     settings.check(transfer.bandlimit)
     settings = coded_within_noise(settings, transfer)
     started = time.perf_counter()
-    grouping = grouping or group_transfer(settings, transfer)
+    seen = as_stored(transfer, exact=exact_mesh)
+    if isinstance(clusters, Clusters | Grouping):
+        grouping = regroup(clusters, seen)
+    else:
+        grouping = group_transfer(settings, transfer)
     report(f"basis {basis}")
-    projected = project_transfer(transfer, _learn_from(transfer, settings, grouping, report))
+    projected = project_transfer(transfer, _learn_from(seen, settings, grouping, report))
     report("coding")
     return encode_transfer(transfer, projected, started)
 
@@ -206,9 +214,11 @@ def encode_transfer(
     """Encode what was projected of vectors that are there; compression ``started`` then, by `time.perf_counter`."""
     encoding = encode(projected.projection, projected.blocks, warm_start=warm_start, keep_decoded=keep_decoded)
     own = transfer.environment
+    stored = stored_mesh_of(transfer, exact=projected.projection.learned.settings.exact_mesh)
     return _assemble(
         encoding,
-        mesh=transfer.mesh,
+        mesh=transfer.mesh if stored is None else stored.mesh,
+        stored=stored,
         parts=transfer.parts,
         bandlimit=transfer.bandlimit,
         effects=transfer.effects,
@@ -262,7 +272,7 @@ def precompute_compressed(
             transfer = compute_transfer(planned, advance)
             return compress(transfer, report=report, **vars(settings))
         source, grouping = planned.estimator(), group_scene(settings, planned)
-        seed, receivers = transport.seed, planned.scene.mesh.receivers
+        seed, receivers = transport.seed, _stored_mesh(planned, settings).mesh.receivers
         vectors = source.estimate(pilot_of(grouping, seed)).vectors
         learned = learn_bases(settings, receivers, grouping, int(transport.bandlimit), seed, vectors)
         with trace_and_project(planned, source, learned, advance) as projected:
@@ -312,9 +322,11 @@ def encode_planned(
     encoding = encode(projected.projection, projected.blocks, warm_start=warm_start, keep_decoded=keep_decoded)
     seconds, scene, bandlimit = planned.clock.seconds, planned.scene, projected.projection.learned.bandlimit
     seconds["compress"] = seconds.get("compress", 0.0) + time.perf_counter() - begin
+    stored = _stored_mesh(planned, projected.projection.learned.settings)
     return _assemble(
         encoding,
-        mesh=scene.mesh,
+        mesh=stored.mesh,
+        stored=stored,
         parts=scene.parts,
         bandlimit=bandlimit,
         effects=planned.plan.effects,
@@ -329,6 +341,10 @@ def encode_planned(
         view=scene.view,
         fixed=projected.fixed,
     )
+
+
+def _stored_mesh(planned: PlannedScene, settings: CompressionSettings) -> StoredMesh:
+    return store_mesh(planned.scene.mesh, planned.scene.parts, exact=settings.exact_mesh)
 
 
 def _assemble(encoding: Any, **about: Any) -> CompressedTransfer:

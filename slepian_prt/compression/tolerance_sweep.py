@@ -12,6 +12,7 @@ from slepian_prt.compression.learning import LearnedBases, learn_bases, pilot_of
 from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.projection import choose_projection, narrow, widen
 from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stored_mesh.transfers import as_stored
 from slepian_prt.compression.stream import Projected, compress, encode_transfer, project_transfer
 from slepian_prt.transport.transfer import Transfer
 
@@ -57,7 +58,7 @@ class ToleranceSweep:
             vectors = transfer.vectors[pilot_of(grouping, transfer.seed)]
             self._learned = learn_bases(
                 settings,
-                transfer.mesh.receivers,
+                as_stored(transfer, exact=settings.exact_mesh).mesh.receivers,
                 grouping,
                 transfer.bandlimit,
                 transfer.seed,

@@ -26,12 +26,15 @@ class Receivers:
         Diffuse reflectance per colour channel.
     neighbours : (E, 2) int64
         Pairs of receivers side by side on the surface, each pair once.
+    order : (V,) int64 or None
+        The receivers as a file numbers them, which tells those at one place apart; None: as they are here.
     """
 
     positions: NDArray[np.float64]
     normals: NDArray[np.float64]
     albedo: NDArray[np.float32]
     neighbours: NDArray[np.int64]
+    order: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -259,7 +259,7 @@ def test_vertices_inside_others_do_not_count(light):
     found = precompute_within(mesh, Goal(error=0.08), light, FEW, TransportSettings())
     checked = found.verification
     assert checked.error[0] <= 0.08
-    assert checked.error[0] == pytest.approx(checked.predicted[0], rel=0.2)
+    assert checked.error[0] == pytest.approx(checked.predicted[0], rel=0.3)
     # One vertex of each two that are neighbours on a curve through space is held out: of those inside a half, but for
     # pairs of an inner and an outer one.
     assert checked.vertices == len(mesh.positions) // 2

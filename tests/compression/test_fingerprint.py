@@ -89,7 +89,7 @@ def test_what_instances_are_made_of_counts(tmp_path):
     group = f'<shape type="shapegroup" id="g">{curve}</shape><shape type="instance"><ref id="g"/></shape>'
     path = tmp_path / "scene.xml"
     path.write_text(f'<scene version="3.0.0">{floor}{group}</scene>')
-    learned = SimpleNamespace(clusters=SimpleNamespace(index=np.zeros(1)), pilot=None)
+    learned = SimpleNamespace(normals=np.zeros(1), clusters=SimpleNamespace(index=np.zeros(1)), pilot=None)
     found = []
     for middle in (0.2, 0.2, 0.3):
         (tmp_path / "hair.txt").write_text(HAIR.format(middle))

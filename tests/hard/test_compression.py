@@ -27,7 +27,7 @@ def with_vectors(transfer: Transfer, vectors: np.ndarray) -> Transfer:
 
 
 def back_from_file(packed, tmp_path):
-    packed.save(tmp_path / "hard.prt")
+    packed.save(tmp_path / "hard.prt", keep_order=True)
     read = load(tmp_path / "hard.prt")
     # The same numbers; their products may be added up in another order.
     largest = np.abs(packed.reconstruct()).max()

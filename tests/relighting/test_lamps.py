@@ -35,7 +35,7 @@ def folder(tmp_path_factory) -> Path:
     for name in ("lit", "dark"):
         transfer = sp.precompute(path / f"{name}.xml", BANDLIMIT, 16)
         transfer.save(path / f"{name}.npz")
-        sp.compress(transfer, clusters=2).save(path / f"{name}.prt")
+        sp.compress(transfer, clusters=2).save(path / f"{name}.prt", keep_order=True)
     return path
 
 

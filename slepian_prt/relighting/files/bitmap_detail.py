@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.relighting.files.baked_textures import BakedTexture, bake_texture
+from slepian_prt.relighting.mitsuba.shape_matching import mesh_faces
 from slepian_prt.renderer.shape_names import shape_name
+from slepian_prt.scene.face_matching import ROUNDED, match_faces
 from slepian_prt.scene.formats.parts import Texture
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mitsuba.ids import load_keeping_ids
@@ -131,9 +133,14 @@ def _coordinates(
     if shape.is_mesh() and shape.vertex_count() == part.count and shape.has_vertex_texcoords():
         places = np.array(shape.vertex_position(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T
         own = in_shape(mesh.positions[part.first : part.first + part.count])
-        if np.abs(places - own).max() <= 1e-5 * max(float(np.ptp(own, axis=0).max()), 1e-300):
-            given = np.array(shape.vertex_texcoord(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T
+        tolerance = 2.0 * ROUNDED * max(float(np.ptp(own, axis=0).max()), 1e-300)
+        given = np.array(shape.vertex_texcoord(dr.arange(mi.UInt32, part.count)), dtype=np.float64).T
+        if np.abs(places - own).max() <= tolerance:
             return given[(mesh.faces[faces] - part.first) % part.count], np.ones(len(faces), dtype=bool)
+        own_faces = mesh_faces(mi, shape)
+        matched = match_faces(in_shape(mesh.positions[mesh.faces[faces]]), places[own_faces], tolerance)
+        if np.all(matched.faces >= 0):
+            return matched.of_corners(given[own_faces]), np.ones(len(faces), dtype=bool)
     if shape.is_mesh() and not shape.has_vertex_texcoords():
         return np.zeros((len(faces), 3, 2)), np.zeros(len(faces), dtype=bool)
     corners = in_shape(mesh.positions[mesh.faces[faces]])

@@ -14,8 +14,8 @@ from slepian_prt.relighting.mitsuba.bounced_light import BouncedLight
 from slepian_prt.relighting.mitsuba.held_files import HeldFile
 from slepian_prt.relighting.mitsuba.missing_light import unknown_effects
 from slepian_prt.relighting.mitsuba.remarks import log_warning
-from slepian_prt.relighting.mitsuba.shape_matching import MatchedShapes, match_shapes, part_vertices
-from slepian_prt.relighting.mitsuba.surfaces import Surfaces, mesh_faces
+from slepian_prt.relighting.mitsuba.shape_matching import MatchedMesh, match_shapes, mesh_faces
+from slepian_prt.relighting.mitsuba.surfaces import Surfaces
 from slepian_prt.relighting.mitsuba.vertex_radiance import VertexRadiance
 from slepian_prt.scene.reflectance.materials import diffuse_reflectance
 
@@ -141,7 +141,7 @@ class BoundTransfer:
 
     def held_shapes(self) -> list[tuple[Any, int]]:
         """Shapes of the scene that is bound that are surely held wherever they are met, and on how many sides."""
-        return [(shape, part.sides) for shape, part in self._matched.meshes]
+        return [(one.shape, one.part.sides) for one in self._matched.meshes]
 
     def warnings(self, scene: Any, albedo: str, effects: tuple[str, ...]) -> list[str]:
         """What of the scene that is bound is drawn otherwise than it says.
@@ -179,23 +179,23 @@ class BoundTransfer:
         if self.packed.toward_view or self._lamps is not None:  # its materials are in it
             return []
         texts = []
-        for shape, part in self._matched.meshes:
-            if albedo == "auto" and material_kind(self._mi, shape.bsdf()) != PLAIN:
+        for one in self._matched.meshes:
+            if albedo == "auto" and material_kind(self._mi, one.shape.bsdf()) != PLAIN:
                 continue  # as the scene has it
-            reflectance = self._mean_reflectance(self._matched, shape, part_vertices(part))
+            reflectance = self._mean_reflectance(self._matched.positions, one)
             if reflectance is not None and reflectance < _ALL_REFLECTED:
                 texts.append(
-                    f"shape '{part.name}' reflects all light, as {self.name} has it; its material here reflects "
+                    f"shape '{one.part.name}' reflects all light, as {self.name} has it; its material here reflects "
                     f"{reflectance:.2f}, which albedo 'scene' follows"
                 )
         return texts
 
-    def _mean_reflectance(self, matched: MatchedShapes, shape: Any, vertices: slice) -> float | None:
+    def _mean_reflectance(self, positions: NDArray[np.float64], matched: MatchedMesh) -> float | None:
         """Of the diffuse part of a mesh's material; None if it cannot be evaluated, as it is not used."""
-        faces = mesh_faces(self._mi, shape)
-        normals = self.packed.mesh.normals[vertices]
+        shape, vertices = matched.shape, matched.vertices(self._mi)
+        faces, normals = mesh_faces(self._mi, shape), self.packed.mesh.normals[vertices]
         try:
-            reflectance = diffuse_reflectance(self._mi, shape, matched.positions[vertices], normals, faces, self.name)
+            reflectance = diffuse_reflectance(self._mi, shape, positions[vertices], normals, faces, self.name)
         except UserError:
             return None
         return float(reflectance.mean())

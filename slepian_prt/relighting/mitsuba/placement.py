@@ -29,6 +29,9 @@ class Placement:
         return self.scale * positions @ self.rotation.T + self.offset
 
 
+UNMOVED = Placement(np.eye(3), 1.0, np.zeros(3))
+
+
 @dataclass(frozen=True, eq=False)
 class Anchor:
     """The same vertices, (n, 3) each, in a scene and in a file, of the part ``name``."""
@@ -46,7 +49,7 @@ def find_placement(anchors: Sequence[Anchor], file: str) -> Placement:
     UserError
         Shapes whose vertices are not those of the file, in the same order, moved as one.
     """
-    placement = Placement(np.eye(3), 1.0, np.zeros(3))
+    placement = UNMOVED
     if not anchors:
         return placement
     if max(misfit(placement, one) for one in anchors) > MOVED:
@@ -56,12 +59,16 @@ def find_placement(anchors: Sequence[Anchor], file: str) -> Placement:
     remaining = [misfit(placement, one) for one in anchors]
     worst = int(np.argmax(remaining))
     if remaining[worst] > MOVED or not np.isfinite(remaining[worst]):
-        name, count = anchors[worst].name, len(anchors[worst].in_file)
-        raise UserError(
-            f"{file}: shape '{name}' of the scene has the {count} vertices of '{name}' there, but in another order or "
-            "at other places; it was changed since, so precompute it again"
-        )
+        raise UserError(changed(anchors[worst].name, file))
     return placement
+
+
+def changed(name: str, file: str) -> str:
+    """What to say of a shape whose vertices are not those of its part."""
+    return (
+        f"{file}: shape '{name}' of the scene has as many vertices as '{name}' there, but in another order or at other "
+        "places; it was changed since, so precompute it again"
+    )
 
 
 def fit_similarity(in_scene: NDArray, in_file: NDArray) -> Placement:

@@ -39,6 +39,8 @@ class PlacedPart:
         That it was computed on, if that is known.
     flat : bool
         Whether its faces lie in those of the shape.
+    moved : float
+        How far the file has moved its vertices at most, in the scene.
     reach : float
         How far from the surface of the scene the part is at most.
     """
@@ -46,6 +48,7 @@ class PlacedPart:
     part: Part
     shape: Any
     flat: bool
+    moved: float = 0.0
     reach: float = 0.0
 
 
@@ -73,23 +76,28 @@ def find_reaches(
     """
     if not placed:
         return ()
-    rounding = _ROUNDING * float(np.spacing(np.float32(np.abs(positions).max(initial=0.0))))
+    of_floats = _ROUNDING * float(np.spacing(np.float32(np.abs(positions).max(initial=0.0))))
+    rounding = [of_floats + one.moved for one in placed]
     probes = [_probes(positions, part_faces(faces, one.part)) for one in placed]
     edges = [edge for _, _, edge in probes]
-    farthest = [max(0.0 if one.flat else _FARTHEST * edge, rounding) for one, edge in zip(placed, edges, strict=True)]
+    farthest = [
+        max(0.0 if one.flat else _FARTHEST * edge, least)
+        for one, edge, least in zip(placed, edges, rounding, strict=True)
+    ]
     counts = [len(middles) for middles, _, _ in probes]
     own_shape = np.repeat([_number(mi, one.shape) for one in placed], counts)
     middles, normals = (np.concatenate([arrays[i] for arrays in probes]) for i in (0, 1))
     any_surface, own_surface = _distances(
-        mi, scene, middles, normals, np.repeat(farthest, counts), own_shape, rounding
+        mi, scene, middles, normals, np.repeat(farthest, counts), own_shape, np.repeat(rounding, counts)
     )  # fmt: skip
     reached = []
     ends = np.cumsum(counts)[:-1]
-    for one, some, own in zip(placed, np.split(any_surface, ends), np.split(own_surface, ends), strict=True):
+    found = zip(placed, rounding, np.split(any_surface, ends), np.split(own_surface, ends), strict=True)
+    for one, least, some, own in found:
         # Where two shapes touch, either may be met.
         if some.size and np.mean(np.isfinite(some)) < _FOUND:
             raise UserError(_not_there(scene, one, file))
-        reached.append(replace(one, reach=rounding + _MARGIN * float(own[np.isfinite(own)].max(initial=0.0))))
+        reached.append(replace(one, reach=least + _MARGIN * float(own[np.isfinite(own)].max(initial=0.0))))
     return tuple(reached)
 
 
@@ -108,7 +116,7 @@ def _probes(positions: NDArray[np.float64], faces: NDArray) -> tuple[NDArray, ND
 
 
 def _distances(
-    mi: Any, scene: Any, middles: NDArray, normals: NDArray, farthest: NDArray, own: NDArray, rounding: float
+    mi: Any, scene: Any, middles: NDArray, normals: NDArray, farthest: NDArray, own: NDArray, rounding: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How far the scene's surface is from points along normals to either side, infinite beyond ``farthest``.
 
@@ -121,7 +129,7 @@ def _distances(
 
     to_any, to_own = np.full(len(middles), np.inf), np.full(len(middles), np.inf)
     for side in (1.0, -1.0):
-        along, begin = mi.Vector3f((side * normals).T.astype(np.float32)), np.full(len(middles), -rounding)
+        along, begin = mi.Vector3f((side * normals).T.astype(np.float32)), -rounding
         for _ in range(_LAYERS):
             start = middles + side * begin[:, None] * normals
             ray = mi.Ray3f(mi.Point3f(start.T.astype(np.float32)), along)

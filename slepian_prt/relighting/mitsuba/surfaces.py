@@ -53,10 +53,10 @@ class Surfaces:
     def __init__(self, mi: Any, matched: MatchedShapes, mesh: Mesh) -> None:
         self._mi = mi
         # Faces are those of matched meshes as Mitsuba numbers them, one mesh after the other, then those by place.
-        faces = [mesh_faces(mi, shape) + part.first for shape, part in matched.meshes]
-        parts = [part for _, part in matched.meshes]
+        faces = [one.faces for one in matched.meshes]
+        parts = [one.part for one in matched.meshes]
         ends = np.cumsum([0, *(len(some) for some in faces)])
-        self._first_face = _by_shape(mi, [shape for shape, _ in matched.meshes], ends[:-1])
+        self._first_face = _by_shape(mi, [one.shape for one in matched.meshes], ends[:-1])
         self._placed: PlacedSurfaces | None = None
         if matched.by_place:
             self._placed = PlacedSurfaces(mi, matched.by_place, matched.positions, mesh, int(ends[-1]))
@@ -185,13 +185,6 @@ class PlacedSurfaces:
         )  # fmt: skip
         _, _, _, nearest, face, back, u, v = dr.while_loop(start, lambda on, *_: on, look)
         return NearFace(active & dr.isfinite(nearest), face + self._first, back, u, v)
-
-
-def mesh_faces(mi: Any, shape: Any) -> NDArray[np.int64]:
-    """(F, 3) of a Mitsuba mesh, in the order that it numbers them."""
-    import drjit as dr
-
-    return np.array(shape.face_indices(dr.arange(mi.UInt32, shape.face_count())), dtype=np.int64).T
 
 
 def _by_shape(mi: Any, shapes: list[Any], values: NDArray) -> Any:

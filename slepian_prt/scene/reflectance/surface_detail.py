@@ -9,11 +9,13 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.scene.face_matching import ROUNDED, MatchedFaces, match_faces
 from slepian_prt.scene.formats.parts import Material, MeshFile, MeshPart, Texture
 from slepian_prt.scene.mesh import Mesh, check_faces, degenerate_faces
 from slepian_prt.scene.mesh_files import MESH_SUFFIXES, file_albedo, read_parts
@@ -21,8 +23,8 @@ from slepian_prt.scene.reflectance.textures import image_size, usable_uv
 
 log = logging.getLogger(__name__)
 
-# Albedo that was computed twice from the same file differs by rounding of float32 sums at most.
-_SAME_ALBEDO = 1e-4
+# Albedo that was computed twice from the same file differs by rounding to float16 at most.
+_SAME_ALBEDO = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +88,20 @@ def read_surface_detail(path: Path, mesh: Mesh) -> SurfaceDetail | None:
     for part in file.parts:
         check_faces(part.faces, len(part.positions), str(path))
     positions, faces = _joined(file)
-    kept = ~degenerate_faces(positions, faces)
-    if kept.sum() != len(mesh.faces) or not _same(positions[faces[kept]], mesh.positions[mesh.faces]):
+    kept = np.flatnonzero(~degenerate_faces(positions, faces))
+    matched = _match(mesh, positions[faces[kept]])
+    if matched is None:
         raise UserError(f"{path}: is another mesh than the one that was precomputed; precompute it again")
-    if np.abs(file_albedo(file)[faces[kept]] - mesh.albedo[mesh.faces]).max(initial=0.0) > _SAME_ALBEDO:
+    albedo = matched.of_corners(file_albedo(file)[faces[kept]])
+    if np.abs(albedo - mesh.albedo[mesh.faces]).max(initial=0.0) > _SAME_ALBEDO:
         log.info("%s: its textures are not drawn, because `albedo` was given instead of them", path)
         return None
     detail = _detail_of(file)
-    arrays = ("choice", "uv", "colors", "metallic", "metallic_choice", "metallic_uv")
-    return replace(detail, **{name: getattr(detail, name)[kept] for name in arrays})
+    own: dict[str, Any] = {
+        name: getattr(detail, name)[kept][matched.faces] for name in ("choice", "metallic", "metallic_choice")
+    }
+    own |= {name: matched.of_corners(getattr(detail, name)[kept]) for name in ("uv", "colors", "metallic_uv")}
+    return replace(detail, **own)
 
 
 def _joined(file: MeshFile) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -105,9 +112,16 @@ def _joined(file: MeshFile) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     return positions, np.concatenate([part.faces + start for part, start in zip(file.parts, starts, strict=True)])
 
 
-def _same(a: NDArray, b: NDArray) -> bool:
-    """Whether corners are at the same places, but for rounding."""
-    return bool(np.abs(a - b).max(initial=0.0) <= 1e-6 * np.ptp(b.reshape(-1, 3), axis=0).max(initial=0.0))
+def _match(mesh: Mesh, others: NDArray[np.float64]) -> MatchedFaces | None:
+    """Which of other faces (F, 3, 3) each one of a mesh is; None if they are not the same, but for rounding."""
+    corners = mesh.positions[mesh.faces]
+    if corners.shape != others.shape:
+        return None
+    tolerance = ROUNDED * float(np.ptp(others.reshape(-1, 3), axis=0).max(initial=0.0))
+    if np.abs(corners - others).max(initial=0.0) <= tolerance:  # in the same order
+        return MatchedFaces(np.arange(len(corners)), np.tile(np.arange(3), (len(corners), 1)))
+    matched = match_faces(corners, others, tolerance)
+    return None if np.any(matched.faces < 0) else matched
 
 
 def _textures_of(part: MeshPart) -> list[Texture]:

@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
     rng = np.random.default_rng(0)
     mesh = replace(mesh, name="bumpy", albedo=(0.3 + 0.5 * rng.random((len(mesh.positions), 3))).astype(np.float32))
     packed = sp.compress(sp.precompute(mesh, bandlimit=6, samples=256), tolerance=0.02, clusters=12)
-    packed.save(path / "bumpy.prt")
+    packed.save(path / "bumpy.prt", keep_order=True)  # as the vertices of the .ply
     trimesh.Trimesh(mesh.positions, mesh.faces, vertex_normals=mesh.normals, process=False).export(path / "bumpy.ply")
     return path
 

@@ -8,6 +8,7 @@ import trimesh
 from scipy.ndimage import binary_erosion
 
 import slepian_prt as sp
+from slepian_prt.compression.stored_mesh.stored import store_mesh
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.scene.scene import Part
@@ -30,7 +31,8 @@ def file_of(*parts):
         Part(name, int(first), len(vertices) // sides, sides)
         for (name, vertices, _, _, sides), first in zip(parts, firsts, strict=False)
     )
-    return replace(packed, mesh=replace(packed.mesh, albedo=albedo.astype(np.float32)), parts=named)
+    stored = store_mesh(replace(packed.mesh, albedo=albedo.astype(np.float32)), named)
+    return replace(packed, mesh=stored.mesh, stored=stored, parts=named)
 
 
 def written(path, vertices, faces):
