@@ -47,7 +47,7 @@ DEFAULT_WIDTH = 800
 class Camera:
     """A view of a scene as a linear map from radiance per receiver to pixels.
 
-    Tracing it takes a second or two; after that every relit picture is one sparse product.
+    Tracing it takes about a second; after that every relit picture is one sparse product.
 
     Attributes
     ----------
