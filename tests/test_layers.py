@@ -76,7 +76,6 @@ HEAVY = {
     "rich.console",
     "PIL",
     "jinja2",
-    "constriction",
     "networkx",
     "pandas",
 }
@@ -102,13 +101,13 @@ def test_help_loads_no_numpy():
 
 
 def test_what_is_told_of_a_file_needs_no_renderer(transfer_file):
-    assert not loaded_by("info", str(transfer_file / "bumpy.prt")) & (HEAVY - {"constriction"})
+    assert not loaded_by("info", str(transfer_file / "bumpy.prt")) & HEAVY
 
 
 def test_numbers_are_relit_without_a_renderer(transfer_file):
     arguments = [str(transfer_file / "bumpy.prt"), "--environment", str(transfer_file / "sky.exr")]
     loaded = loaded_by("relight", *arguments, "-o", str(transfer_file / "relit.npz"))
-    assert not loaded & (HEAVY - {"constriction"})
+    assert not loaded & HEAVY
     assert (transfer_file / "relit.npz").is_file()
 
 

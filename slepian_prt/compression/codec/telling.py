@@ -133,7 +133,7 @@ class LevelReader:
     def read(
         self, level: Level, around: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Rows, components and differences that are not zero, of a level; its rows' neighbours differed by ``around``."""
+        """Rows, components and differences that are not zero; the neighbours of the rows differed by ``around``."""
         caps = self._caps[level.rows]
         activities = activities_of(around, self._usual[level.rows])
         speaks = self._component_counts > 0
