@@ -12,10 +12,12 @@ from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
+from benchmarks.startup import startup
 from benchmarks.transport import dragons, transport
 
 BENCHMARKS = {
     "sphere": sphere,
+    "startup": startup,
     "compression": compression,
     "files": files,
     "transport": transport,

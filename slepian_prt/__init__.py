@@ -55,11 +55,15 @@ Names are loaded when they are first used, so the mathematics of the sphere work
 command line is `slepian-prt`; its manual and the conventions (axes, units, signs) are in the folder docs.
 """
 
-import importlib.metadata as _metadata
-
 import lazy_loader as _lazy
 
-__version__ = _metadata.version(__name__)
-
 # The names and their homes stand in __init__.pyi, which type checkers read too.
-__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+_attribute, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        from importlib.metadata import version  # only when it is asked for: half of what the package takes to import
+
+        return version(__name__)
+    return _attribute(name)

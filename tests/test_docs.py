@@ -10,7 +10,6 @@ import shlex
 import subprocess
 import sys
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,6 @@ import trimesh
 
 import slepian_prt as sp
 from slepian_prt.compression.bases import BASES
-from slepian_prt.compression.decoder import decode
-from tests.format_reader import cumulative_tables, read, transfer_vectors
-from tests.numerics import assert_exact, assert_rounded
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -222,75 +218,3 @@ def test_wheel_holds_everything(tmp_path):
             assert str(path.relative_to(ROOT)) in held, path
     for example in (ROOT / "scenes").iterdir():
         assert f"slepian_prt/scenes/{example.name}" in held
-
-
-# --- The file format -------------------------------------------------------------------------------------------------
-
-
-def rotate_to(functions: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Functions about z, turned to stand about an axis: Rz(φ) Ry(θ)."""
-    x, y, z = axis
-    s = np.hypot(x, y)
-    c, d = (x / s, y / s) if s > 0.0 else (1.0, 0.0)
-    return sp.rotate_sh(functions, np.array([[c * z, -d, x], [d * z, c, y], [-s, 0.0, z]]))
-
-
-@pytest.fixture(scope="module")
-def ball() -> sp.Mesh:
-    """A dented ball of several colours, 642 vertices."""
-    ball = trimesh.creation.icosphere(3)
-    positions = ball.vertices * (1.0 + 0.4 * np.prod(np.sin(4.0 * ball.vertices), axis=1, keepdims=True))
-    return sp.make_mesh(positions, ball.faces, albedo=0.5 + 0.4 * np.sign(positions))
-
-
-@pytest.fixture(scope="module")
-def transfers(ball) -> dict[str, sp.Transfer]:
-    return {
-        "one channel": sp.precompute(ball, bandlimit=4, samples=64, effects="direct"),
-        "three channels": sp.precompute(ball, bandlimit=4, samples=64, effects="all"),
-    }
-
-
-@pytest.mark.parametrize("channels", ["one channel", "three channels"])
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"tolerance": 0.03},
-        {"tolerance": 0.03, "refine": True},
-        {"tolerance": 1e-4, "refine": False},  # float32 functions, differences beyond the largest symbol
-        {"tolerance": 0.05, "group_by": "bent", "occlusion_classes": 3},
-        {"tolerance": 0.05, "light_prior": sp.falling_prior(4)},
-        {"tolerance": 0.05, "basis": "cpca"},
-        {"tolerance": 0.99},  # nothing is left but the mean
-        {"terms": 6},
-        {"terms": 6, "coding": "float16"},
-        {"terms": 6, "coding": "float16", "refine": True},
-        {"terms": 6, "basis": "slepian"},
-        {"basis": "none"},
-    ],
-    ids=str,
-)
-def test_independent_reader_agrees(transfers, channels, options, tmp_path):
-    """A reader written from docs/file-format.md: integers and stored floats bit for bit, vectors to rounding."""
-    sp.compress(transfers[channels], clusters=5, **options).save(tmp_path / "ball.prt")
-    packed, file = sp.load(tmp_path / "ball.prt"), read(tmp_path / "ball.prt")
-    for number, cap in enumerate(file.caps):
-        ours = decode(packed, number)
-        assert_exact(cap.members, packed.clusters.members[number], "integers decide which cap a vertex belongs to")
-        assert (cap.axes is None) == (ours.axes is None)
-        multiples = (cap.numbers * cap.scale).astype(np.float32)
-        assert_exact(multiples, ours.values, "products of the same two numbers, rounded once")
-    vectors = packed.reconstruct()
-    theirs = transfer_vectors(file, sp.real_sh, rotate_to).reshape(vectors.shape)
-    # Sums of at most 25 functions after 75 principal axes, of numbers below the largest vector.
-    assert_rounded(theirs.astype(np.float32), vectors, terms=100)
-
-
-def test_reader_shares_no_code():
-    for name in ("format_reader.py", "format_mesh.py", "format_pixels.py"):
-        assert "slepian_prt" not in re.sub(r'"[^"]*"', "", (ROOT / "tests" / name).read_text())
-
-
-def test_format_page_gives_the_checksum_of_the_models():
-    tables = np.array(cumulative_tables(), dtype="<u4")
-    assert f"{zlib.crc32(tables.tobytes()):08x}" in (DOCS / "file-format.md").read_text()

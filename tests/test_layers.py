@@ -53,3 +53,68 @@ print(mi.variant())
     inside, after = run(code).splitlines()
     assert inside.startswith(("llvm", "cuda"))
     assert after == "scalar_rgb"
+
+
+def loaded_by(*command: str) -> set[str]:
+    """Modules that are imported when a command of the command line has run."""
+    code = f"""
+import contextlib, io, sys
+from slepian_prt.cli import main
+with contextlib.redirect_stdout(io.StringIO()):
+    assert main({list(command)!r}) == 0
+print(*sys.modules)
+"""
+    return set(run(code).split())
+
+
+# What takes longer to import than all that a command does without it; each is imported by what needs it.
+HEAVY = {
+    "mitsuba",
+    "drjit",
+    "trimesh",
+    "matplotlib",
+    "rich.console",
+    "PIL",
+    "jinja2",
+    "constriction",
+    "networkx",
+    "pandas",
+}
+
+
+@pytest.fixture(scope="module")
+def transfer_file(tmp_path_factory):
+    """A small transfer file, and a map."""
+    import numpy as np
+
+    import slepian_prt as sp
+    from slepian_prt.renderer.variants import bitmap_module
+    from tests.conftest import bumpy
+
+    folder = tmp_path_factory.mktemp("lazy")
+    sp.compress(sp.precompute(bumpy(2), bandlimit=2, samples=16), tolerance=0.2).save(folder / "bumpy.prt")
+    bitmap_module().Bitmap(np.ones((16, 32, 3), dtype=np.float32)).write(str(folder / "sky.exr"))
+    return folder
+
+
+def test_help_loads_no_numpy():
+    assert not loaded_by("--help") & (HEAVY | {"numpy", "scipy"})
+
+
+def test_what_is_told_of_a_file_needs_no_renderer(transfer_file):
+    assert not loaded_by("info", str(transfer_file / "bumpy.prt")) & (HEAVY - {"constriction"})
+
+
+def test_numbers_are_relit_without_a_renderer(transfer_file):
+    arguments = [str(transfer_file / "bumpy.prt"), "--environment", str(transfer_file / "sky.exr")]
+    loaded = loaded_by("relight", *arguments, "-o", str(transfer_file / "relit.npz"))
+    assert not loaded & (HEAVY - {"constriction"})
+    assert (transfer_file / "relit.npz").is_file()
+
+
+def test_the_version_is_that_of_the_installation():
+    from importlib.metadata import version
+
+    import slepian_prt
+
+    assert slepian_prt.__version__ == version("slepian_prt")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @json_option
 def info(file: str, as_json: bool) -> None:
     """What a transfer FILE holds, what was simulated, and what error to expect."""
-    packed = read_transfer(file)
+    packed = read_transfer(file, check=False)
     content = _content(packed)
     if as_json:
         effects = [
@@ -54,22 +54,23 @@ def _entry(name: str, text: str) -> str:
 
 def _content(packed: CompressedTransfer) -> dict[str, Any]:
     """All but the effects."""
+    film = packed.film_outline
     return {
         "source": packed.source,
         "parameters": dict(packed.parameters) or None,
-        "vertices": len(packed.mesh.positions),
-        "faces": len(packed.mesh.faces),
+        "vertices": packed.vertex_count,
+        "faces": packed.face_count,
         "bandlimit": packed.bandlimit,
         "basis": packed.basis,
         "coding": packed.coding,
         "channels": packed.channels,
         "bounces": packed.bounces,
-        "film": None if packed.film is None else f"{packed.film.width} x {packed.film.height} of {packed.film.name}",
+        "film": None if film is None else f"{film.width} x {film.height} of {film.name}",
         "noise": packed.noise(),
         "camera": None if packed.view is None else packed.view.name,
         "toward_camera": packed.toward_view,
-        "lamps": None if packed.fixed is None else list(packed.fixed.names),
-        "clusters": len(packed.bases),
+        "lamps": list(packed.lamp_names) or None,
+        "clusters": packed.cap_count,
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
         "mesh_bytes_per_vertex": packed.mesh_bytes_per_vertex,
@@ -86,7 +87,7 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "seed": packed.seed,
         "rays_traced": packed.rays_traced,
         "seconds": packed.seconds,
-        "notes": list(packed.mesh.notes),
+        "notes": list(packed.notes),
     }
 
 
@@ -99,9 +100,9 @@ def _in_words(packed: CompressedTransfer) -> dict[str, str | None]:
         for which, count in counts.items()
     )
     return {
-        "lamps": None if packed.fixed is None else ", ".join(packed.fixed.names),
+        "lamps": ", ".join(packed.lamp_names) or None,
         "seconds": ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items()),
         "verified_error": ", ".join(f"{name} {error:.4g}" for name, error in packed.verified.items()) or None,
         "verified_left_out": ", ".join(left_out) or None,
-        "notes": "; ".join(packed.mesh.notes) or "none",
+        "notes": "; ".join(packed.notes) or "none",
     }

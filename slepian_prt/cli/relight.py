@@ -83,7 +83,8 @@ def relight(
     Several lights (maps, or --turntable) give a folder of such files, one .npz, or a film (.mp4).
     """
     from slepian_prt.relighting.drawing.pictures import MAP, TRANSPARENT, Finish
-    from slepian_prt.relighting.files.outputs import Wish, check_film, check_output, check_source, write_relit
+    from slepian_prt.relighting.files.outputs import write_relit
+    from slepian_prt.relighting.files.wishes import Wish, check_film, check_output, check_source
     from slepian_prt.relighting.series import Lights, relight_series
     from slepian_prt.scene.view import Aim
 

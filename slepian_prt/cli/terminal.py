@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TextIO
 
-from rich.cells import cell_len
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
-from rich.table import Table
-from rich.text import Text
+import click
 
 from slepian_prt.cli.commands import with_flags
 
@@ -21,45 +19,24 @@ if TYPE_CHECKING:
 Side = Literal["left", "right"]
 
 
-class _Rate(ProgressColumn):
-    """Items per second."""
-
-    def render(self, task: Task) -> Text:
-        return Text(f"{task.speed:,.0f}/s" if task.speed else "", style="progress.data.speed")
-
-
 @contextmanager
 def progress(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], None], Callable[[str], None]]]:
     """A bar with rate and time left on a terminal; nothing in a pipe.
 
     Yields advance(done now, total), and report(text), which names what is done before or after on a line of its own.
     """
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn(unit),
-        _Rate(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = None
+    if not _is_terminal(sys.stderr):
+        yield lambda _done, _total: None, lambda _what: None
+        return
+    from slepian_prt.cli.progress import progress_bar
 
-        def advance(done: int, total: int) -> None:
-            nonlocal task
-            if task is None:
-                task = bar.add_task(name, total=total)
-            bar.update(task, advance=done, total=total)
+    with progress_bar(name, unit) as shown:
+        yield shown
 
-        def report(what: str) -> None:
-            if console.is_terminal:
-                if task is not None:
-                    bar.update(task, visible=False)
-                console.print(Text(what, style="dim"))
 
-        yield advance, report
+def _is_terminal(stream: TextIO) -> bool:
+    """Whether Rich has something to do there; a pipe does without it, which takes a tenth of a second to import."""
+    return stream.isatty() or bool(os.environ.get("FORCE_COLOR"))
 
 
 def print_plan(effects: Sequence[Effect]) -> None:
@@ -90,11 +67,21 @@ def print_table(headings: Mapping[str, Side], rows: Sequence[Sequence[str]], *, 
 
     On a terminal that is too narrow, the columns ``spare`` are left out, from the first on, until the rest fits.
     """
+    from rich.cells import cell_len
+
     cells = dict(zip(headings, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(headings, ())
     whole = {name: max(map(cell_len, [name, *cells[name]])) for name in headings}
+    if not _is_terminal(sys.stdout):
+        for row in (tuple(headings), *rows):
+            pads = (" " * (whole[name] - cell_len(cell)) for name, cell in zip(headings, row, strict=True))
+            sides = zip(row, pads, headings.values(), strict=True)
+            click.echo("  ".join(pad + cell if side == "right" else cell + pad for cell, pad, side in sides))
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     console = Console()
-    if not console.is_terminal:
-        console = Console(width=_width(whole))
     # Numbers are not wrapped, headings only between words.
     least = {
         name: max(map(cell_len, [*name.split(), *(cells[name] if headings[name] == "right" else ())]), default=0)

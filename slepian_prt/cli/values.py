@@ -160,14 +160,15 @@ def read_maps(
     return [light.turned(stand) for light in lights]
 
 
-def read_transfer(file: str) -> CompressedTransfer:
-    """The transfer file that is named; of a mesh or scene it is said how to make one."""
+def read_transfer(file: str, *, check: bool = True) -> CompressedTransfer:
+    """The transfer file that is named, see `load`; of a mesh or scene it is said how to make one."""
     from slepian_prt.compression.prt_file import load
-    from slepian_prt.scene.mesh_files import MESH_SUFFIXES
 
     try:
-        return load(file)
+        return load(file, check=check)
     except UserError:
+        from slepian_prt.scene.mesh_files import MESH_SUFFIXES
+
         path = Path(file)
         if path.is_file() and path.suffix.lower() in (*MESH_SUFFIXES, ".gltf", ".xml"):
             kind = "Mitsuba scene" if path.suffix.lower() == ".xml" else "mesh"

@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.checkpoint import Block, Store
-from slepian_prt.compression.codec.surface import CapSurface, surface_of
+from slepian_prt.compression.codec.surface import CapRows, surface_of
 from slepian_prt.scene.receivers import Receivers
+
+# Coefficients that are coded together: they take some 60 bytes each meanwhile.
+_PIECE = 1 << 21
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +74,13 @@ class CapBlocks:
             place(block.vertices[rows], block.coefficients[numbers])
         return values
 
-    def surface(self, cap: int) -> CapSurface:
-        """How the codec visits a cap."""
-        return surface_of(self.receivers).cap(self.members[cap])
+    def rows(self, caps: Sequence[int]) -> CapRows:
+        """How the codec visits some caps."""
+        return surface_of(self.receivers).rows([self.members[c] for c in caps])
 
-    def in_surface_order(self, cap: int) -> tuple[NDArray[np.float32], CapSurface]:
-        """(n, K channels) coefficients of a cap in the order of coding, with its surface."""
-        surface = self.surface(cap)
-        return self.coefficients(cap)[np.searchsorted(self.members[cap], surface.order)], surface
+    def pieces(self) -> list[range]:
+        """The caps in pieces whose coefficients are few enough to be coded together."""
+        return pieces_of(np.array([part.size for part in self.members]) * self.widths, _PIECE)
 
     @cached_property
     def _starts(self) -> dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]:
@@ -93,6 +95,12 @@ class CapBlocks:
         """One after the other: together they may not fit in memory."""
         yield from (block for _, block in self.store)
         yield from self.overrides.values()
+
+
+def pieces_of(counts: NDArray[np.int64], most: int) -> list[range]:
+    """Successive caps in pieces of nearly so many coefficients together at most, from how many each has."""
+    starts = np.flatnonzero(np.diff((np.cumsum(counts) - counts) // most, prepend=-1))
+    return [range(begin, end) for begin, end in zip(starts, [*starts[1:], len(counts)], strict=True)]
 
 
 def _slices(starts: tuple[NDArray, NDArray], cap: int) -> tuple[slice, slice]:

@@ -8,9 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from slepian_prt.errors import UserError, check_integer
 from slepian_prt.scene.receivers import Receivers, morton
@@ -18,6 +15,8 @@ from slepian_prt.sphere.caps import Cap, minimal_enclosing_cap
 from slepian_prt.sphere.quadrature import spherical_fibonacci
 
 _ITERATIONS = 30
+# Few enough for a core's own cache, and for BLAS not to start threads, which together took twice as long.
+_AXES_AT_A_TIME = 1024
 _PATCH_ITERATIONS = 6
 
 # Sites are directions in 1/2^14, axes count in 1/2^20: products are whole numbers below 2^36, exact in float64.
@@ -152,6 +151,11 @@ def cluster_surface(receivers: Receivers, axes: NDArray, count: int) -> Clusters
         Whose caps are taken.
     count : int >= 1
     """
+    # Only here, so that relighting starts without SciPy.
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+    from scipy.spatial import cKDTree
+
     lit = np.flatnonzero(np.any(axes != 0.0, axis=1))
     everywhere = receivers.positions
     positions = everywhere[lit]
@@ -234,9 +238,10 @@ def _nearest(unit: NDArray, centers: NDArray) -> tuple[NDArray[np.int64], NDArra
     """Nearest centre of each axis, and the product with it."""
     nearest = np.empty(len(unit), dtype=np.int64)
     product = np.empty(len(unit))
-    for begin in range(0, len(unit), 65536):
-        products = unit[begin : begin + 65536] @ centers.T
+    for begin in range(0, len(unit), _AXES_AT_A_TIME):
+        rows = slice(begin, begin + _AXES_AT_A_TIME)
+        products = unit[rows] @ centers.T
         best = products.argmax(axis=1)
-        nearest[begin : begin + 65536] = best
-        product[begin : begin + 65536] = products[np.arange(best.size), best]
+        nearest[rows] = best
+        product[rows] = products[np.arange(best.size), best]
     return nearest, product

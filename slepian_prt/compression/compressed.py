@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters
-from slepian_prt.compression.codec.prediction import Coded
+from slepian_prt.compression.codec.caps import Coded
 from slepian_prt.compression.file_size import file_size
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
@@ -19,12 +19,38 @@ from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.stored_mesh.stored import StoredMesh
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.lighting.spectrum import falling_prior, light_power
-from slepian_prt.scene.film import Film
+from slepian_prt.scene.film import Film, FilmOutline
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.effects import Effect
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outline:
+    """What is told of transfer without its numbers.
+
+    Attributes
+    ----------
+    name : str
+    notes : tuple of str
+    vertices, faces, caps : int
+    coding : str
+    prior_weights : (L+1,) or None
+    lamps : tuple of str
+    film : FilmOutline or None
+    """
+
+    name: str
+    notes: tuple[str, ...]
+    vertices: int
+    faces: int
+    caps: int
+    coding: str
+    prior_weights: NDArray[np.float64] | None
+    lamps: tuple[str, ...]
+    film: FilmOutline | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -116,10 +142,66 @@ class CompressedTransfer(Summarised):
     verified_vertices: int = 0
     verified_left_out: dict[str, dict[str, int]] = field(default_factory=dict)
 
+    # Told without decoding anything where it was loaded from a file.
+
+    @cached_property
+    def _outline(self) -> Outline:
+        return Outline(
+            name=self.mesh.name,
+            notes=self.mesh.notes,
+            vertices=len(self.mesh.positions),
+            faces=len(self.mesh.faces),
+            caps=len(self.bases),
+            coding="coded" if self.coded is not None else str(self.coefficients[0].dtype),
+            prior_weights=self.bases[0].weights,
+            lamps=() if self.fixed is None else self.fixed.names,
+            film=None if self.film is None else self.film.outline,
+        )
+
     @property
     def coding(self) -> str:
         """coded, float16 or float32."""
-        return "coded" if self.coded is not None else str(self.coefficients[0].dtype)
+        return self._outline.coding
+
+    @property
+    def name(self) -> str:
+        """Of the mesh or camera."""
+        return self._outline.name
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was repaired in the mesh."""
+        return self._outline.notes
+
+    @property
+    def vertex_count(self) -> int:
+        """V."""
+        return self._outline.vertices
+
+    @property
+    def face_count(self) -> int:
+        """F."""
+        return self._outline.faces
+
+    @property
+    def cap_count(self) -> int:
+        """Number of caps."""
+        return self._outline.caps
+
+    @property
+    def lamp_names(self) -> tuple[str, ...]:
+        """Of the scene's lamps."""
+        return self._outline.lamps
+
+    @property
+    def film_outline(self) -> FilmOutline | None:
+        """Of the film whose pixels these are, if they are such."""
+        return self._outline.film
+
+    @property
+    def prior_weights(self) -> NDArray[np.float64] | None:
+        """(L+1,) weights of the light prior; None without one."""
+        return self._outline.prior_weights
 
     @property
     def predicted_error(self) -> float:
@@ -129,7 +211,7 @@ class CompressedTransfer(Summarised):
     @property
     def predicted_error_under_prior(self) -> float | None:
         """The same under light of the prior, which is what a tolerance is about; None without one."""
-        weights = self.bases[0].weights
+        weights = self.prior_weights
         return None if weights is None else self.expected.relative(weights**2)
 
     def predicted_relit_error(self, lighting: NDArray | None = None) -> float:
@@ -148,10 +230,10 @@ class CompressedTransfer(Summarised):
 
         ``lighting`` as of `predicted_relit_error`.
         """
-        if self.film is None:
+        if self.film_outline is None:
             return None
         power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
-        return self.film.relative_noise(self.channels * self.expected.total, power)  # expected of each channel
+        return self.film_outline.relative_noise(self.channels * self.expected.total, power)  # expected of each channel
 
     @property
     def bytes_per_vertex(self) -> float:
@@ -159,17 +241,17 @@ class CompressedTransfer(Summarised):
 
         Not counted are the mesh, and the light of lamps: 2 to 12 bytes for each, less where it is dark or gray.
         """
-        return file_size(self).transfer / len(self.mesh.positions)
+        return file_size(self).transfer / self.vertex_count
 
     @property
     def mesh_bytes_per_vertex(self) -> float:
         """Bytes in the file per vertex for its mesh."""
-        return file_size(self).mesh / len(self.mesh.positions)
+        return file_size(self).mesh / self.vertex_count
 
     @property
     def file_bytes_per_vertex(self) -> float:
         """Bytes of the whole file per vertex."""
-        return file_size(self).whole / len(self.mesh.positions)
+        return file_size(self).whole / self.vertex_count
 
     @cached_property
     def normals(self) -> NDArray[np.float64]:
@@ -214,15 +296,16 @@ class CompressedTransfer(Summarised):
         save(self, path, keep_order=keep_order)
 
     def _summary(self) -> dict[str, object]:
+        film = self.film_outline
         verified = ", ".join(f"{light} {error:.2g}" for light, error in self.verified.items())
         return {
-            "source": self.source or self.mesh.name,
-            "vertices": len(self.mesh.positions),
+            "source": self.source or self.name,
+            "vertices": self.vertex_count,
             "bandlimit": self.bandlimit,
             "channels": self.channels,
             "basis": self.basis,
             "terms": float(self.terms),
-            "caps": len(self.bases),
+            "caps": self.cap_count,
             "coding": self.coding,
             "bytes_per_vertex": self.bytes_per_vertex,
             "file_bytes_per_vertex": self.file_bytes_per_vertex,
@@ -230,7 +313,7 @@ class CompressedTransfer(Summarised):
             "path_noise": self.path_noise,
             "light_prior": self.prior or None,
             "verified_error": verified or None,
-            "lamps": None if self.fixed is None else ", ".join(self.fixed.names),
-            "film": None if self.film is None else f"{self.film.width} x {self.film.height} of {self.film.name}",
+            "lamps": ", ".join(self.lamp_names) or None,
+            "film": None if film is None else f"{film.width} x {film.height} of {film.name}",
             "toward_camera": self.view.name if self.toward_view and self.view is not None else None,
         }

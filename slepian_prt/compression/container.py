@@ -11,6 +11,8 @@ import io
 import json
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +40,7 @@ def write(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]
     Returns
     -------
     dict of str to int
-        As `member_sizes`.
+        As `Contents.sizes`.
 
     Raises
     ------
@@ -55,49 +57,82 @@ def sizes_of(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, 
         return _fill(container, manifest, arrays)
 
 
-def member_sizes(path: str | Path) -> dict[str, int]:
-    """Bytes in a file of the manifest and of each array, by name, everything about them counted; without reading them.
+class Contents:
+    """What a file holds: its manifest at once, arrays when they are asked for, each checked against its checksum.
 
-    Of a file that can be `read`; their sum and `END` are the bytes of the file.
-    """
-    with zipfile.ZipFile(path) as container:
-        return _sizes(container)
+    Parameters
+    ----------
+    path : path
 
-
-def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """Manifest and arrays of a file, every checksum verified.
+    Attributes
+    ----------
+    path : Path
+    manifest : dict
+    sizes : dict of str to int
+        Bytes in the file of the manifest and of each array, everything about them counted; with `END` those of all.
 
     Raises
     ------
     UserError
         Missing, foreign, cut short, damaged, or from another version.
     """
-    path = Path(path)
-    check_readable(path, "a transfer file", "precompute it first")
-    try:
-        with zipfile.ZipFile(path) as container:
-            manifest = json.loads(container.read("manifest.json"))
-            if manifest.get("format") != FORMAT:
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        check_readable(self.path, "a transfer file", "precompute it first")
+        self._arrays: dict[str, NDArray] = {}
+        with self._told(), zipfile.ZipFile(self.path) as container:
+            self.manifest = json.loads(container.read("manifest.json"))
+            if self.manifest.get("format") != FORMAT:
                 raise UserError(f"{path}: is not a transfer file of slepian-prt; precompute one")
-            if manifest["version"] != VERSION:
-                remedy = "update slepian_prt" if manifest["version"] > VERSION else "precompute it again"
-                raise UserError(
-                    f"{path}: has format version {manifest['version']}, this program reads {VERSION}; {remedy}"
-                )
-            arrays = {}
-            for name in manifest["arrays"]:
-                with container.open(f"{name}.npy") as member:
-                    arrays[name] = np.lib.format.read_array(io.BytesIO(member.read()), allow_pickle=False)
-    except UserError:
-        raise
-    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, AttributeError, TypeError) as error:
-        reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
-        raise UserError(
-            f"{path}: is not a transfer file, or is cut short or damaged ({reason}); precompute it again"
-        ) from None
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
-    return manifest, arrays
+            version = self.manifest["version"]
+            if version != VERSION:
+                remedy = "update slepian_prt" if version > VERSION else "precompute it again"
+                raise UserError(f"{path}: has format version {version}, this program reads {VERSION}; {remedy}")
+            self.sizes = _sizes(container)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """All arrays, by name.
+
+        Raises
+        ------
+        UserError
+            Cut short or damaged.
+        """
+        return {name: self.array(name) for name in self._read(self.manifest["arrays"])}
+
+    def array(self, name: str) -> NDArray:
+        """One array.
+
+        Raises
+        ------
+        UserError
+            Not there, cut short or damaged.
+        """
+        self._read([name])
+        return self._arrays[name]
+
+    def _read(self, names: list[str]) -> list[str]:
+        missing = [name for name in names if name not in self._arrays]
+        if missing:
+            with self._told(), zipfile.ZipFile(self.path) as container:
+                for name in missing:
+                    content = io.BytesIO(container.read(f"{name}.npy"))
+                    self._arrays[name] = np.lib.format.read_array(content, allow_pickle=False)
+        return names
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """What goes wrong in reading, said in one line."""
+        try:
+            yield
+        except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, AttributeError, TypeError) as error:
+            reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
+            raise UserError(
+                f"{self.path}: is not a transfer file, or is cut short or damaged ({reason}); precompute it again"
+            ) from None
+        except OSError as error:
+            raise UserError(f"{self.path}: cannot be read ({error.strerror or error})") from None
 
 
 def _fill(container: zipfile.ZipFile, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, int]:
@@ -128,4 +163,8 @@ def _npy(array: NDArray) -> bytes:
 
 
 def _compression(array: NDArray) -> int:
-    return zipfile.ZIP_STORED if array.dtype.kind == "f" and array.any() else zipfile.ZIP_DEFLATED
+    """Floats are stored as they are, but for zeros alone, and so are integers that are coded already."""
+    if array.dtype.kind == "f":
+        return zipfile.ZIP_DEFLATED if not array.any() else zipfile.ZIP_STORED
+    content = array.tobytes()
+    return zipfile.ZIP_DEFLATED if len(zlib.compress(content, 1)) < len(content) else zipfile.ZIP_STORED

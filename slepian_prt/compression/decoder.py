@@ -8,13 +8,19 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.codec.caps import DecodedCap, decode_cap
+from slepian_prt.compression.blocks import pieces_of
+from slepian_prt.compression.codec.caps import DecodedCap, decode_caps
 from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.pilot import channel_mixing
+from slepian_prt.errors import UserError
 from slepian_prt.sphere.harmonics import num_coefficients
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
+
+
+# Coefficients that are decoded together: they take some 40 bytes each meanwhile.
+_PIECE = 1 << 22
 
 
 class CapCoefficients(NamedTuple):
@@ -40,21 +46,44 @@ def decode(packed: CompressedTransfer, cap: int) -> CapCoefficients:
     """One cap's coefficients, the others left alone."""
     if packed.coded is None:
         return CapCoefficients(packed.coefficients[cap].astype(np.float32), None)
-    surface = surface_of(packed.mesh.receivers).cap(packed.clusters.members[cap])
-    components = packed.bases[cap].count * packed.channels
-    return _sorted(packed, cap, decode_cap(packed.coded.words[cap], components, surface, packed.coded.tuning))
+    return _decode_coded(packed, range(cap, cap + 1))[0]
 
 
 def decode_all(packed: CompressedTransfer) -> tuple[CapCoefficients, ...]:
-    """All caps' coefficients; kept until `forget`, because relighting wants them after a file was checked."""
+    """All caps' coefficients; kept until `forget`.
+
+    Raises
+    ------
+    UserError
+        What was loaded does not fit together.
+    """
     if packed not in _decoded:
-        _decoded[packed] = tuple(decode(packed, c) for c in range(len(packed.bases)))
+        if packed.coded is None:
+            _decoded[packed] = tuple(decode(packed, c) for c in range(len(packed.bases)))
+        else:
+            counts = packed.clusters.sizes * np.array([content.width for content in packed.coded.caps])
+            pieces = pieces_of(counts, _PIECE)
+            _decoded[packed] = tuple(cap for piece in pieces for cap in _decode_coded(packed, piece))
     return _decoded[packed]
+
+
+def _decode_coded(packed: CompressedTransfer, caps: range) -> list[CapCoefficients]:
+    assert packed.coded is not None
+    rows = surface_of(packed.mesh.receivers).rows([packed.clusters.members[c] for c in caps])
+    components = [packed.bases[c].count * packed.channels for c in caps]
+    tuning = packed.coded.tuning
+    try:
+        decoded = decode_caps(packed.coded.caps[caps.start : caps.stop], components, rows, tuning)
+    except ValueError as error:
+        raise UserError(f"coefficients cannot be decoded ({error}); precompute the file again") from None
+    return [CapCoefficients(cap.values(tuning.step), cap.axes) for cap in decoded]
 
 
 def remember(packed: CompressedTransfer, decoded: tuple[DecodedCap, ...]) -> None:
     """What the encoder knows need not be decoded."""
-    _decoded[packed] = tuple(_sorted(packed, c, cap) for c, cap in enumerate(decoded))
+    assert packed.coded is not None
+    step = packed.coded.tuning.step
+    _decoded[packed] = tuple(CapCoefficients(cap.values(step), cap.axes) for cap in decoded)
 
 
 def forget(packed: CompressedTransfer) -> None:
@@ -84,17 +113,7 @@ def reconstruct(packed: CompressedTransfer, vertices: NDArray[np.integer] | None
 
 def coded_along_principal_axes(packed: CompressedTransfer) -> tuple[bool, ...]:
     """Which caps are coded along their principal axes."""
-    return tuple(cap.axes is not None for cap in decode_all(packed))
-
-
-def _sorted(packed: CompressedTransfer, cap: int, decoded: DecodedCap) -> CapCoefficients:
-    """From the order of coding to that of the cap's members."""
-    assert packed.coded is not None
-    members = packed.clusters.members[cap]
-    values = np.empty(decoded.multiples.shape, dtype=np.float32)
-    places = np.searchsorted(members, surface_of(packed.mesh.receivers).cap(members).order)
-    values[places] = decoded.values(packed.coded.tuning.step)
-    return CapCoefficients(values, decoded.axes)
+    return () if packed.coded is None else tuple(content.principal_axes for content in packed.coded.caps)
 
 
 _decoded: WeakKeyDictionary[CompressedTransfer, tuple[CapCoefficients, ...]] = WeakKeyDictionary()

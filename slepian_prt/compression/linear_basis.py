@@ -51,12 +51,19 @@ class LinearBasis:
         """(K, (L+1)²) in the world frame."""
         if self.known_functions is not None:
             return self.known_functions
+        if self.radial is not None:
+            return rotate_sh(self.local_functions, rotation_to(self.center))
+        return self.local_functions
+
+    @property
+    def local_functions(self) -> NDArray[np.float64]:
+        """(K, (L+1)²): those of one order each in the cap's frame, others in the world frame."""
         if self.radial is not None and self.orders is not None:
             radial = self.radial.astype(np.float64)
             if self.radial.dtype == np.float16:
                 for m in np.unique(self.orders):
                     radial[self.orders == m] = orthonormal_rows(radial[self.orders == m])
-            return rotate_sh(scatter_radial(radial, self.orders), rotation_to(self.center))
+            return scatter_radial(radial, self.orders)
         if self.dense is not None:
             dense = self.dense.astype(np.float64)
             return orthonormal_rows(dense) if self.dense.dtype == np.float16 else dense

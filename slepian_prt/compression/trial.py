@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.blocks import CapBlocks
-from slepian_prt.compression.codec.caps import DecodedCap, decode_cap, encode_cap
+from slepian_prt.compression.codec.caps import decode_caps
+from slepian_prt.compression.codec.encoding import encode_caps
 from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE
 from slepian_prt.compression.codec.tuning import tune
 from slepian_prt.compression.encoder import (
@@ -85,20 +86,18 @@ def try_caps(projection: Projection, blocks: CapBlocks, caps: Sequence[int]) -> 
     """Code the given caps, whose receivers alone are in the blocks."""
     total, missed = blocks.energies()
     begin = time.perf_counter()
-    samples = [blocks.in_surface_order(c) for c in caps]
+    samples, rows = [blocks.coefficients(c) for c in caps], blocks.rows(caps)
     read = time.perf_counter()
     with threadpool_limits(1, "blas"):
         distortion = allowed_distortion(projection, total, missed)
-        tuning = tune(samples, distortion, blocks.largest() / LARGEST_MULTIPLE)
-        tuned = time.perf_counter()
         axes = principal_axes_asked(projection)
-        encoded = [encode_cap(*blocks.in_surface_order(c), tuning, principal_axes=axes) for c in caps]
+        tuning = tune(samples, rows, distortion, blocks.largest() / LARGEST_MULTIPLE, axes)
+        tuned = time.perf_counter()
+        encoded = encode_caps(samples, rows, tuning, principal_axes=[axes] * len(caps))
         coded = time.perf_counter()
     channels = projection.learned.channels
-    decoded = [
-        decode_cap(cap.words, projection.bases[c].count * channels, surface, tuning)
-        for c, cap, (_, surface) in zip(caps, encoded, samples, strict=True)
-    ]
+    counts = [projection.bases[c].count * channels for c in caps]
+    decoded = decode_caps([cap.content for cap in encoded], counts, rows, tuning)
     read_back = time.perf_counter()
     size = blocks.size(caps)
     expected, missing = measure_expectation(projection, caps, encoded, blocks, total, missed)
@@ -108,16 +107,9 @@ def try_caps(projection: Projection, blocks: CapBlocks, caps: Sequence[int]) -> 
         expected,
         missing,
         np.sum([cap.errors for cap in encoded], axis=0) / size,
-        [_in_member_order(blocks, c, cap, tuning.step) for c, cap in zip(caps, decoded, strict=True)],
-        4.0 * sum(cap.words.size for cap in encoded) / size,
+        [cap.coefficients(tuning.step).astype(np.float32) for cap in decoded],
+        sum(cap.content.size for cap in encoded) / size,
         read - begin,
         coded - tuned,
         read_back - coded,
     )
-
-
-def _in_member_order(blocks: CapBlocks, cap: int, decoded: DecodedCap, step: float) -> NDArray[np.float32]:
-    values = decoded.coefficients(step)
-    sorted_values = np.empty(values.shape, dtype=np.float32)
-    sorted_values[np.searchsorted(blocks.members[cap], blocks.surface(cap).order)] = values
-    return sorted_values

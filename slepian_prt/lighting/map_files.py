@@ -11,21 +11,9 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_readable
-from slepian_prt.lighting.formats.exr import exr_rows
-from slepian_prt.lighting.formats.pfm import pfm_rows
-from slepian_prt.lighting.formats.pictures import picture_rows
-from slepian_prt.lighting.formats.radiance import radiance_rows
 from slepian_prt.lighting.map_rows import Checked, Rows, array_rows
 
 __all__ = ["Checked", "Rows", "array_rows", "file_rows"]
-
-# What files begin with, whatever their names, and who reads them; pictures are told apart by their readers.
-_READERS: tuple[tuple[bytes, Callable[[Path], Rows]], ...] = (
-    (b"\x76\x2f\x31\x01", exr_rows),
-    (b"#?", radiance_rows),
-    (b"PF", pfm_rows),
-    (b"Pf", pfm_rows),
-)
 
 
 def file_rows(path: str | Path) -> Rows:
@@ -44,14 +32,35 @@ def file_rows(path: str | Path) -> Rows:
     try:
         with path.open("rb") as file:
             start = file.read(4)
-        reader = next((reader for magic, reader in _READERS if start.startswith(magic)), picture_rows)
-        found = reader(path)
+        found = _reader(start)(path)
         found.read(0, 1)  # now, so that damage to what all rows need is found here
     except UserError:
         raise
     except Exception as error:  # the libraries raise RuntimeError for most, but also others
         raise _unreadable(path, error) from None
     return replace(found, read=_guarded(path, found.read))
+
+
+def _reader(start: bytes) -> Callable[[Path], Rows]:
+    """Who reads what files begin with, whatever their names; pictures are told apart by their reader.
+
+    Each is imported when it is needed: that of pictures takes as long as all the rest of relighting.
+    """
+    if start.startswith(b"\x76\x2f\x31\x01"):
+        from slepian_prt.lighting.formats.exr import exr_rows
+
+        return exr_rows
+    if start.startswith(b"#?"):
+        from slepian_prt.lighting.formats.radiance import radiance_rows
+
+        return radiance_rows
+    if start.startswith((b"PF", b"Pf")):
+        from slepian_prt.lighting.formats.pfm import pfm_rows
+
+        return pfm_rows
+    from slepian_prt.lighting.formats.pictures import picture_rows
+
+    return picture_rows
 
 
 def _guarded(path: Path, read: Callable[[int, int], NDArray[np.float32]]) -> Callable[[int, int], NDArray[np.float32]]:

@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.texel_projection import legendre_on_rings, legendre_spread, legendre_sum
@@ -130,7 +129,7 @@ class SkyQuadrature:
     def project(self, samples: NDArray, bandlimit: int, turn: NDArray[np.float64]) -> NDArray[np.float64]:
         """(C, (L+1)²) coefficients of radiance (N, C) in `directions`, with the light turned."""
         rings = samples[: _RINGS * _AZIMUTHS].astype(np.float64)
-        spectrum = fft.rfft(rings.reshape(_RINGS, _AZIMUTHS, -1), axis=1)
+        spectrum = np.fft.rfft(rings.reshape(_RINGS, _AZIMUTHS, -1), axis=1)
         spectrum = _padded(spectrum, bandlimit) * (2.0 * np.pi / _AZIMUTHS)
         coefficients = legendre_sum(spectrum, _ring_legendre(bandlimit))
         flux = self.disk_flux(samples)
@@ -146,7 +145,7 @@ class SkyQuadrature:
         moments = legendre_spread(in_sky, _ring_legendre(bandlimit)) * (2.0 * np.pi / _AZIMUTHS)
         spectrum = _padded(moments, _AZIMUTHS // 2)
         spectrum[:, 1 : _AZIMUTHS // 2] *= 0.5  # of the real part of an FFT: an inverse FFT without its 1/W
-        rings = fft.irfft(spectrum, n=_AZIMUTHS, axis=1, norm="forward").reshape(_RINGS * _AZIMUTHS, -1)
+        rings = np.fft.irfft(spectrum, n=_AZIMUTHS, axis=1, norm="forward").reshape(_RINGS * _AZIMUTHS, -1)
         disk = np.empty((len(self.disk.directions), len(in_sky)))
         for begin in range(0, len(disk), _BLOCK):
             part = slice(begin, begin + _BLOCK)

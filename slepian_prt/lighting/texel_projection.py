@@ -11,14 +11,16 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.sparse import csr_array
 
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Rows per degree, and columns per order by half, below which bilinear interpolation matters, and is carried out.
 _ROWS_PER_DEGREE = 8
@@ -69,7 +71,7 @@ class TexelProjection:
             step = max(1, _BLOCK // (width * block.shape[2]))
             for begin in range(0, len(block), step):
                 part = block[begin : begin + step].astype(np.float64)
-                transformed = fft.rfft(part, axis=1, workers=-1)
+                transformed = np.fft.rfft(part, axis=1)
                 moments[done : done + len(part)] = transformed[:, : self.bandlimit + 1]
                 done += len(part)
         assert moments is not None
@@ -88,7 +90,7 @@ class TexelProjection:
         spectrum[:, : self.bandlimit + 1] = np.conj(moments * self._phases[:, None])
         # The transpose of the real part of an FFT: an inverse FFT without its 1/W, half of each m > 0.
         spectrum[:, 1 : self.bandlimit + 1] *= 0.5
-        texels = fft.irfft(spectrum, n=width, axis=1, workers=-1, norm="forward")
+        texels = np.fft.irfft(spectrum, n=width, axis=1, norm="forward")
         if self._finer is not None:
             rows, columns = self._finer
             texels = _along(columns.T.tocsr(), _along(rows.T.tocsr(), texels, 0), 1)
@@ -179,6 +181,8 @@ def resample(texels: NDArray, height: int, width: int) -> NDArray[np.float32]:
 
 
 def _two_points(first: NDArray, second: NDArray, part: NDArray, size: int) -> csr_array:
+    from scipy.sparse import csr_array  # only for maps of few rows, so that relighting starts without SciPy
+
     n = np.arange(len(first))
     data, places = np.concatenate([1.0 - part, part]), np.concatenate([first, second])
     return csr_array((data, (np.concatenate([n, n]), places)), shape=(len(first), size))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.lighting.windowing import windowed
 from slepian_prt.relighting.relight import negative_fraction, relight
-from slepian_prt.transport.transfer import Transfer
+
+if TYPE_CHECKING:
+    from slepian_prt.transport.transfer import Transfer
 
 # Widths that are searched for one that leaves hardly anything negative: up to this many times the bandlimit, so many
 # of them in each round.

@@ -1,92 +1,70 @@
 """Compressed transfer as the matrix that lighting is multiplied with, kept in the factors it is compressed to.
 
 Within a cap, T ≈ C F with few functions F and coefficients C, so that radiance is C (F e): F e is small, and what takes
-time is to read C once. Its speed is that of the memory.
+time is to read C once. Its speed is that of the memory, if all caps are multiplied by few calls, which need no threads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
-from slepian_prt.compression.bases import shared_half_angle
-from slepian_prt.compression.clustering import enclose_clusters
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.decoder import CapCoefficients, decode_all, forget
-from slepian_prt.compression.pilot import MeanTransfer, channel_mixing
-from slepian_prt.slepian.concentration import cap_basis, scatter_radial
-from slepian_prt.sphere.caps import Cap
-from slepian_prt.sphere.harmonics import degrees, num_coefficients
-from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+from slepian_prt.compression.decoder import forget
+from slepian_prt.relighting.factors import Factors, all_factors
 
-# Relit are functions that leave out no more than this part of the error of coded transfer.
-_LEFT_OUT = 0.01
+# OpenBLAS multiplies by one thread where rows, columns and what is summed multiply to no more than this. Threads that
+# wait for each other made one light of a skull take 17 ms instead of 1 on a busy machine.
+_ALONE = 1 << 18
 
-# The mean transfer of a cap is held by as many functions as leave out less than this part of it.
-_MEAN_LEFT_OUT = 1e-5
+# One light in three colours takes four columns: rows of whole 16 bytes are moved at the speed of a copy.
+_COLUMNS = 4
 
-# From so many functions, and for one light, products of a matrix that is stored by columns with each of three vectors
-# are up to twice as fast as one with all three (OpenBLAS, measured).
-_LONG = 100
+# Rows of a tile, and columns of a strip: less costs calls, more falls out of the nearest cache (140 columns took 1.7 ms
+# in strips of 48, and 3.9 in one piece). A tile of a fourth of a cap leaves an eighth of its rows empty.
+_TILE = 128
+_STRIP = 64
+_TILES_PER_CAP = 4
+
+# Caps whose numbers of functions are equal when rounded up to a multiple of this are multiplied together.
+_ALIKE = 4
 
 
 @dataclass(frozen=True)
-class Factors:
-    """One cap: transfer of its vertices ≈ ``coefficients`` times ``functions``.
+class _Group:
+    """Caps with equally many functions, in tiles of equally many rows, so that one call multiplies all of them.
 
     Attributes
     ----------
-    coefficients : (n, r) float32
-    functions : (r, channels, (L+1)²) float64
+    strips : tuple of (T, n, w) float32
+        Coefficients, by strips of w functions; the last rows of a cap's last tile are zero.
+    functions : (T, r)
+        Which functions those of each tile are.
+    rows : slice
+        Of the products of all groups.
     """
 
-    coefficients: NDArray[np.float32]
-    functions: NDArray[np.float64]
+    strips: tuple[NDArray[np.float32], ...]
+    functions: NDArray[np.intp]
+    rows: slice
 
-    def orthonormal(self, weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], Factors]:
-        """The same with functions that are orthonormal if weighted, the most important first, and each one's energy.
-
-        ``weights`` ((L+1)²,) are those of a light prior.
-        """
-        rows = (self.functions * weights).reshape(len(self.functions), -1)
-        # Dependent functions are common: the mean of a cap mostly lies among the functions of its basis.
-        values, vectors = np.linalg.eigh(rows @ rows.T)
-        kept = values > 1e-12 * values[-1]
-        mixed = vectors[:, kept] * np.sqrt(values[kept])
-        gram = self.coefficients.T.astype(np.float64) @ self.coefficients
-        energies, axes = np.linalg.eigh(mixed.T @ gram @ mixed)
-        axes = axes[:, ::-1]
-        functions = axes.T @ (vectors[:, kept] / np.sqrt(values[kept])).T @ rows
-        coefficients = self.coefficients @ (mixed @ axes).astype(np.float32)
-        functions = functions.reshape(-1, *self.functions.shape[1:]) / weights
-        return np.maximum(energies[::-1], 0.0), Factors(coefficients, functions)
-
-    def first(self, count: int) -> Factors:
-        """Only the first ``count`` functions."""
-        return Factors(np.ascontiguousarray(self.coefficients[:, :count]), self.functions[:count])
-
-
-def drop_least(parts: Sequence[Factors], weights: NDArray[np.float64], lost: float) -> list[Factors]:
-    """Factors of all caps with as few functions as leave out ``lost`` (relative RMS) of the weighted transfer."""
-    # Threads of BLAS that wait for each other make many small problems slow, by minutes on a busy machine.
-    with threadpool_limits(1, "blas"):
-        made = [part.orthonormal(weights) for part in parts]
-    energies = np.concatenate([energy for energy, _ in made])
-    sizes = np.concatenate([np.full(energy.size, len(part.coefficients)) for energy, part in made])
-    # Per number that has to be read: a function of a small cap is worth more than one of a large cap.
-    order = np.argsort(energies / np.maximum(sizes, 1), kind="stable")
-    dropped = order[np.cumsum(energies[order]) <= lost**2 * energies.sum()]
-    keep = np.ones(energies.size, dtype=bool)
-    keep[dropped] = False
-    ends = np.cumsum([energy.size for energy, _ in made])
-    counts = [int(part.sum()) for part in np.split(keep, ends[:-1])]
-    return [part.first(count) for (_, part), count in zip(made, counts, strict=True)]
+    def multiply(self, lit: NDArray[np.float32], product: NDArray[np.float32]) -> None:
+        """Fill its rows of ``product`` (rows, 4); ``lit`` (all functions, 4)."""
+        lit = lit.view(np.complex128)[:, 0].take(self.functions).view(np.float32)
+        lit = lit.reshape(*self.functions.shape, _COLUMNS)
+        result = product[self.rows].reshape(len(lit), -1, _COLUMNS)
+        first = 0
+        for strip in self.strips:
+            part = lit[:, first : first + strip.shape[2]]
+            if first == 0:
+                np.matmul(strip, part, out=result)
+            else:
+                result += strip @ part
+            first += strip.shape[2]
 
 
 class TransferOperator:
@@ -99,39 +77,63 @@ class TransferOperator:
     """
 
     def __init__(self, parts: Sequence[Factors], members: Sequence[NDArray]) -> None:
-        self._blocks = [
-            np.asarray(part.coefficients, order="F" if len(part.functions) >= _LONG else "C") for part in parts
-        ]
-        self._functions = np.concatenate([part.functions for part in parts]).astype(np.float32)
-        self._ranks = np.concatenate([[0], np.cumsum([part.functions.shape[0] for part in parts])])
         self._members = list(members)
+        ranks = np.array([max(1, -(-len(part.functions) // _ALIKE)) * _ALIKE for part in parts])
+        ends = np.cumsum(ranks)
+        self._functions_of = [slice(int(end - rank), int(end)) for end, rank in zip(ends, ranks, strict=True)]
+        self._functions = _stacked([part.functions for part in parts], self._functions_of)
+        self._blocks: list[tuple[NDArray[np.float32], ...]] = [()] * len(parts)
+        self._places = np.empty(sum(m.size for m in self._members), dtype=np.intp)
+        self._groups: list[_Group] = []
+        self._rows = 0
+        for rank in np.unique(ranks):
+            self._add_group(np.flatnonzero(ranks == rank).tolist(), [part.coefficients for part in parts], int(rank))
+
+    def _add_group(self, caps: Sequence[int], coefficients: Sequence[NDArray], rank: int) -> None:
+        """Lay the coefficients of caps with ``rank`` functions out in tiles."""
+        sizes = [self._members[c].size for c in caps]
+        height = int(np.clip(sum(sizes) // (len(caps) * _TILES_PER_CAP), 8, _TILE))
+        counts = [-(-size // height) for size in sizes]
+        width = -(-rank // -(-rank // _STRIP))
+        strips = tuple(
+            np.zeros((sum(counts), height, min(width, rank - first)), dtype=np.float32)
+            for first in range(0, rank, width)
+        )
+        functions = np.empty((sum(counts), rank), dtype=np.intp)
+        begin = 0
+        for c, size, count in zip(caps, sizes, counts, strict=True):
+            tiles = slice(begin, begin + count)
+            block = tuple(strip[tiles].reshape(-1, strip.shape[2])[:size] for strip in strips)
+            given = coefficients[c].shape[1]
+            for i, strip in enumerate(block):
+                end = min(i * width + strip.shape[1], given)
+                strip[:, : max(0, end - i * width)] = coefficients[c][:, i * width : end]
+            self._blocks[c] = block
+            functions[tiles] = np.arange(self._functions_of[c].start, self._functions_of[c].stop)
+            self._places[self._members[c]] = self._rows + begin * height + np.arange(size)
+            begin += count
+        rows = slice(self._rows, self._rows + begin * height)
+        self._groups.append(_Group(strips, functions, rows))
+        self._rows = rows.stop
 
     @property
     def size(self) -> int:
         """Numbers that are read for each light: coefficients and functions."""
-        return sum(block.size for block in self._blocks) + self._functions.size
+        return sum(strip.size for group in self._groups for strip in group.strips) + self._functions.size
 
     def apply(self, lighting: NDArray) -> NDArray[np.float32]:
         """(B, V, 3) radiance for unit albedo under B lightings (B, 3, (L+1)²)."""
-        count = len(lighting)
-        lit = self._lit(lighting)
-        # Rows of whole 16 bytes go to their vertices at the speed of a copy; others take several times as long.
-        width = -(-3 * count // 4) * 4
-        lit = np.pad(lit, ((0, 0), (0, width - 3 * count)))
-        rows = np.empty((sum(members.size for members in self._members), width), dtype=np.float32)
-        wide = rows.view(np.complex128).reshape(len(rows), *(() if width == 4 else (width // 4,)))
-        for c, (block, members) in enumerate(zip(self._blocks, self._members, strict=True)):
-            product = _product(block, lit[self._ranks[c] : self._ranks[c + 1]], 3 * count)
-            wide[members] = product.view(np.complex128).reshape(len(product), *wide.shape[1:])
-        return np.moveaxis(rows[:, : 3 * count].reshape(-1, count, 3), 1, 0)
+        lights = np.asarray(lighting, dtype=np.float32)
+        return self._apply_one(lights[0])[None] if len(lights) == 1 else self._apply_many(lights)
 
     def adjoint(self, gradient: NDArray) -> NDArray[np.float64]:
         """(B, 3, (L+1)²) from gradients (B, V, 3) of radiance: the transpose of `apply`."""
         count = len(gradient)
         given = np.moveaxis(np.asarray(gradient, dtype=np.float32), 0, 1).reshape(-1, 3 * count)
-        lit = np.empty((int(self._ranks[-1]), 3 * count), dtype=np.float32)
-        for c, (block, members) in enumerate(zip(self._blocks, self._members, strict=True)):
-            lit[self._ranks[c] : self._ranks[c + 1]] = block.T @ given[members]
+        lit = np.zeros((len(self._functions), 3 * count), dtype=np.float32)
+        for block, members, functions in zip(self._blocks, self._members, self._functions_of, strict=True):
+            here = given[members]
+            np.concatenate([strip.T @ here for strip in block], out=lit[functions])
         by_light = lit.reshape(-1, count, 3).astype(np.float64)
         channels, size = self._functions.shape[1:]
         result = np.empty((count, 3, size))
@@ -139,26 +141,56 @@ class TransferOperator:
             result[:, c] = by_light[:, :, c].T @ self._functions[:, c if channels == 3 else 0]
         return result
 
-    def _lit(self, lighting: NDArray) -> NDArray[np.float32]:
-        """(all functions, 3 B): what each function makes of each light in each colour."""
-        lights = np.asarray(lighting, dtype=np.float32)
+    def _apply_one(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(V, 3) from (3, (L+1)²)."""
         channels, size = self._functions.shape[1:]
-        if channels == 1:
-            return self._functions[:, 0] @ lights.reshape(-1, size).T
-        lit = np.empty((len(self._functions), len(lights), 3), dtype=np.float32)
+        columns = np.zeros((channels, size, _COLUMNS), dtype=np.float32)
         for c in range(3):
-            lit[:, :, c] = self._functions[:, c] @ lights[:, c].T
-        return lit.reshape(len(self._functions), -1)
+            columns[c if channels == 3 else 0, :, c] = light[c]
+        summed = channels * size
+        pieces = self._functions.reshape(-1, _piece(summed), summed)
+        lit = (pieces @ columns.reshape(summed, _COLUMNS)).reshape(-1, _COLUMNS)
+        product = np.empty((self._rows, _COLUMNS), dtype=np.float32)
+        for group in self._groups:
+            group.multiply(lit, product)
+        radiance = product.view(np.complex128)[:, 0].take(self._places)
+        return radiance.view(np.float32).reshape(-1, _COLUMNS)[:, :3]
+
+    def _apply_many(self, lights: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(B, V, 3) from (B, 3, (L+1)²), cap by cap: the product of all would be as large as what is asked for."""
+        count = len(lights)
+        channels, size = self._functions.shape[1:]
+        width = -(-3 * count // _COLUMNS) * _COLUMNS
+        lit = np.zeros((len(self._functions), width), dtype=np.float32)
+        if channels == 1:
+            lit[:, : 3 * count] = self._functions[:, 0] @ lights.reshape(-1, size).T
+        else:
+            for c in range(3):
+                lit[:, c : 3 * count : 3] = self._functions[:, c] @ lights[:, c].T
+        rows = np.empty((len(self._places), width // _COLUMNS), dtype=np.complex128)
+        for block, members, functions in zip(self._blocks, self._members, self._functions_of, strict=True):
+            here, first = lit[functions], 0
+            product = np.zeros((members.size, width), dtype=np.float32)
+            for strip in block:
+                product += strip @ here[first : first + strip.shape[1]]
+                first += strip.shape[1]
+            rows[members] = product.view(np.complex128)
+        return np.moveaxis(rows.view(np.float32)[:, : 3 * count].reshape(-1, count, 3), 1, 0)
 
 
-def _product(block: NDArray[np.float32], lit: NDArray[np.float32], columns: int) -> NDArray[np.float32]:
-    """(n, r) times (r, k), of which only the first ``columns`` matter."""
-    if block.shape[1] < _LONG or columns > 3:
-        return np.asarray(block @ lit)
-    product = np.empty((len(block), lit.shape[1]), dtype=np.float32)
-    for column in range(columns):
-        product[:, column] = block @ np.ascontiguousarray(lit[:, column])
-    return product
+def _stacked(functions: Sequence[NDArray], places: Sequence[slice]) -> NDArray[np.float32]:
+    """All functions, each cap's at its place, zero between; as many as make whole pieces."""
+    channels, size = functions[0].shape[1:]
+    piece = _piece(channels * size)
+    stacked = np.zeros((-(-places[-1].stop // piece) * piece, channels, size), dtype=np.float32)
+    for part, place in zip(functions, places, strict=True):
+        stacked[place.start : place.start + len(part)] = part
+    return stacked
+
+
+def _piece(summed: int) -> int:
+    """Rows that one thread multiplies by the columns of one light, where so many products are summed."""
+    return max(1, _ALONE // (_COLUMNS * summed))
 
 
 # --- From compressed transfer ----------------------------------------------------------------------------------------
@@ -171,84 +203,9 @@ def transfer_operator(packed: CompressedTransfer) -> TransferOperator:
     """
     known = _operators.get(packed)
     if known is None:
-        known = _operators[packed] = TransferOperator(_all_factors(packed), packed.clusters.members)
+        known = _operators[packed] = TransferOperator(all_factors(packed), packed.clusters.members)
         forget(packed)  # what was decoded is as large as what was made of it
     return known
 
 
 _operators: WeakKeyDictionary[CompressedTransfer, TransferOperator] = WeakKeyDictionary()
-
-
-def _all_factors(packed: CompressedTransfer) -> list[Factors]:
-    mean = None if packed.mean is None else _MeanFunctions(packed, packed.mean)
-    parts = [_factors(packed, c, coefficients, mean) for c, coefficients in enumerate(decode_all(packed))]
-    if packed.coded is None:
-        return parts
-    prior, error = packed.bases[0].weights, packed.predicted_error_under_prior
-    weights = np.ones(num_coefficients(packed.bandlimit)) if prior is None else prior[degrees(packed.bandlimit)]
-    return drop_least(parts, weights, _LEFT_OUT * (packed.predicted_error if error is None else error))
-
-
-def _factors(packed: CompressedTransfer, c: int, coefficients: CapCoefficients, mean: _MeanFunctions | None) -> Factors:
-    """One cap's coefficients and the functions they belong to, the mean transfer among them."""
-    basis, size, channels = packed.bases[c], num_coefficients(packed.bandlimit), packed.channels
-    # One channel stands for all three; three are mixed back.
-    mixing = channel_mixing(channels).astype(np.float64)
-    functions = np.einsum("km,dc->kdcm", basis.synthesis, mixing).reshape(-1, channels * size)
-    if coefficients.axes is not None:
-        functions = coefficients.axes @ functions
-    columns = [coefficients.values]
-    if basis.mean is not None:
-        offset = np.einsum("dm,dc->cm", basis.mean.astype(np.float64), mixing).reshape(1, -1)
-        functions = np.concatenate([functions, offset])
-        columns.append(np.ones((len(coefficients.values), 1), dtype=np.float32))
-    if mean is not None:
-        model, along = mean.of_cap(c)
-        functions = np.concatenate([functions, np.einsum("km,c->kcm", model, mixing[0]).reshape(len(model), -1)])
-        columns.append(along)
-    values = np.concatenate(columns, axis=1)
-    values[~packed.mesh.receivers.active[packed.clusters.members[c]]] = 0.0
-    return Factors(values, functions.reshape(-1, channels, size))
-
-
-class _MeanFunctions:
-    """The mean transfer of each cap as few functions.
-
-    R_n t̄ over a cap of normals lies in the span of what concentrates the kernel t̄ on it.
-    """
-
-    def __init__(self, packed: CompressedTransfer, mean: MeanTransfer) -> None:
-        self._packed, self._mean = packed, mean
-        self._about_pole: dict[tuple[int, float], NDArray[np.float64]] = {}  # by occlusion class and half-angle
-
-    def of_cap(self, c: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Functions (k, (L+1)²) and coefficients (n, k) of them."""
-        clusters, normals = self._packed.clusters, self._packed.normals
-        members, occlusion_class, cap = clusters.members[c], int(clusters.occlusion_classes[c]), self._caps[c]
-        functions = self._functions(occlusion_class, shared_half_angle(cap.half_angle))
-        model = rotate_sh(functions, rotation_to(cap.center))
-        along = np.empty((members.size, len(model)), dtype=np.float32)
-        for begin in range(0, members.size, 8192):
-            block = slice(begin, begin + 8192)
-            vectors = self._mean.vectors(normals[members[block]], occlusion_class)
-            along[block] = vectors @ model.T.astype(np.float32)
-        return model, along
-
-    def _functions(self, occlusion_class: int, half_angle: float) -> NDArray[np.float64]:
-        """Functions about the pole."""
-        key = occlusion_class, half_angle
-        if key not in self._about_pole:
-            kernel = self._mean.zonal[occlusion_class].astype(np.float64)
-            basis = cap_basis(self._packed.bandlimit, half_angle, kernel=kernel)
-            left = np.cumsum(basis.eigenvalues[::-1])[::-1]
-            count = max(1, int(np.sum(left > _MEAN_LEFT_OUT**2 * left[0])))
-            self._about_pole[key] = scatter_radial(basis.radial[:count], basis.orders[:count])
-        return self._about_pole[key]
-
-    @cached_property
-    def _caps(self) -> tuple[Cap, ...]:
-        """Caps of the clusters' normals; those of the clusters only if normals are what was grouped."""
-        clusters = self._packed.clusters
-        if clusters.sites is not None:
-            return clusters.caps
-        return enclose_clusters(clusters.index, len(clusters.caps), self._packed.normals).caps

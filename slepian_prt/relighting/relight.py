@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +19,9 @@ from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh
-from slepian_prt.transport.transfer import Transfer
+
+if TYPE_CHECKING:
+    from slepian_prt.transport.transfer import Transfer
 
 # Sampling noise, relative to the largest radiance: what is negative by less does not count.
 _NOISE = 0.01

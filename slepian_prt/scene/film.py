@@ -17,6 +17,37 @@ _MIDDLE = 128
 
 
 @dataclass(frozen=True, eq=False)
+class FilmOutline:
+    """What is known of a film without its pixels.
+
+    Attributes
+    ----------
+    name : str
+    width, height : int
+    noise_power : (L+1,)
+        As of `Film`.
+    """
+
+    name: str
+    width: int
+    height: int
+    noise_power: NDArray[np.float64]
+
+    def relative_noise(self, energy: NDArray[np.float64], power: NDArray[np.float64]) -> float:
+        """Relative RMS noise of the picture, averaged over the rotations of a light; 1 where all there is can be noise.
+
+        Parameters
+        ----------
+        energy : (L+1,)
+            Mean squared norm of a transfer vector in each degree, with its noise.
+        power : (L+1,)
+            Of the light, per harmonic.
+        """
+        noise, whole = float(power @ self.noise_power), float(power @ energy)
+        return math.sqrt(noise / max(whole - noise, noise)) if noise > 0.0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class Film:
     """The film of a camera, whose V = width x height pixels are receivers, row by row from the upper left.
 
@@ -74,18 +105,14 @@ class Film:
         looks = _interpolated(rows, 2, *across)
         return np.asarray(looks / np.linalg.norm(looks, axis=-1, keepdims=True), dtype=np.float32)
 
-    def relative_noise(self, energy: NDArray[np.float64], power: NDArray[np.float64]) -> float:
-        """Relative RMS noise of the picture, averaged over the rotations of a light; 1 where all there is can be noise.
+    @property
+    def outline(self) -> FilmOutline:
+        """What is known of it without its pixels."""
+        return FilmOutline(self.name, self.width, self.height, self.noise_power)
 
-        Parameters
-        ----------
-        energy : (L+1,)
-            Mean squared norm of a transfer vector in each degree, with its noise.
-        power : (L+1,)
-            Of the light, per harmonic.
-        """
-        noise, whole = float(power @ self.noise_power), float(power @ energy)
-        return math.sqrt(noise / max(whole - noise, noise)) if noise > 0.0 else 0.0
+    def relative_noise(self, energy: NDArray[np.float64], power: NDArray[np.float64]) -> float:
+        """As of `FilmOutline`."""
+        return self.outline.relative_noise(energy, power)
 
     def at_bandlimit(self, bandlimit: int) -> Film:
         """The same with what is known of fewer degrees."""

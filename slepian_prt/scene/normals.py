@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+
+from slepian_prt.scene.pieces import connected_pieces
 
 # Faces in one plane differ by the rounding of their normals.
 _ROUNDING = 1e-12
@@ -131,6 +130,8 @@ def complete_normals(
         face_of[faces] = np.arange(len(faces))[:, None]
         either, around = face_normals(positions, faces[face_of[lost]]), np.flatnonzero(used & ~lost)
         if around.size:
+            from scipy.spatial import cKDTree  # only for such faces, so that relighting starts without SciPy
+
             nearest = cKDTree(positions[around]).query(positions[lost], k=min(_AROUND, around.size))[1]
             toward = unit[around[nearest.reshape(len(either), -1)]].sum(axis=1)
             either *= np.where(np.einsum("ij,ij->i", either, toward) < 0.0, -1.0, 1.0)[:, None]
@@ -179,10 +180,8 @@ def split_at_creases(
     normals = face_normals(positions, faces)
     cosine = np.einsum("ij,ij->i", normals[first_faces], normals[other_faces])
     smooth = cosine >= math.cos(math.radians(degrees)) - _ROUNDING
-    one, other = corners[..., smooth].reshape(2, -1)
     count, vertices = faces.size, len(positions)
-    links = coo_array((np.ones(one.size, dtype=np.int8), (one, other)), shape=(count, count))
-    _, fan = connected_components(links, directed=False)
+    fan = connected_pieces(corners[..., smooth].reshape(2, -1).T, count).astype(np.int64)
     # Vertices that no face uses, and those that stay whole, are fans of their own.
     alone = np.ones(vertices, dtype=bool)
     alone[faces] = False

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from slepian_prt.scene.formats.joining import join_equal
+from slepian_prt.scene.pieces import connected_pieces
 
 # Of the volume of its box, the least that a part encloses; less is flat but for rounding.
 _FLAT = 1e-6
@@ -28,8 +27,7 @@ def parts_inside_out(positions: NDArray, normals: NDArray, faces: NDArray) -> li
     first, place = join_equal(positions)
     welded = place[faces]
     sides = np.sort(np.concatenate([welded[:, [0, 1]], welded[:, [1, 2]], welded[:, [2, 0]]]), axis=1)
-    links = coo_array((np.ones(len(sides), dtype=np.int8), (sides[:, 0], sides[:, 1])), shape=(len(first), len(first)))
-    part_of_place = connected_components(links, directed=False)[1]
+    part_of_place = connected_pieces(sides, len(first))
     _, part = np.unique(part_of_place[welded[:, 0]], return_inverse=True)
     parts = int(part.max()) + 1
     if parts < 2:

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from slepian_prt.scene.formats.joining import join_equal
+from slepian_prt.scene.pieces import connected_pieces
 from slepian_prt.scene.segments import are_blocked, met_faces
 
 if TYPE_CHECKING:
@@ -92,9 +91,9 @@ def _are_cut_off(scene: Scene, pairs: NDArray) -> NDArray[np.bool_]:
     positions = scene.traced_positions
     first, place = join_equal(positions)  # parts are often split at hard edges
     edges = place[scene.receivers.neighbours]
-    whole = _pieces(edges, len(first))
+    whole = connected_pieces(edges, len(first))
     cut = np.isin(_keys(edges, len(first)), _keys(place[pairs], len(first)))
-    piece = _pieces(edges[~cut], len(first))
+    piece = connected_pieces(edges[~cut], len(first))
     # A sheet lies in a plane: the least moment of its vertices is none, but for rounding.
     count = np.bincount(whole)[:, None]
     mean = np.stack([np.bincount(whole, values) for values in positions[first].T], axis=1) / count
@@ -108,12 +107,6 @@ def _are_cut_off(scene: Scene, pairs: NDArray) -> NDArray[np.bool_]:
     near, far = place[pairs].T
     size = np.bincount(piece)[piece]
     return np.asarray((piece[near] != piece[far]) & (size[near] <= size[far]) & ~flat[whole[near]])
-
-
-def _pieces(edges: NDArray, count: int) -> NDArray[np.int32]:
-    """(count,) numbers of the connected components that edges (E, 2) make."""
-    links = coo_array((np.ones(len(edges), dtype=np.int8), edges.T), shape=(count, count))
-    return connected_components(links, directed=False)[1]
 
 
 def _keys(edges: NDArray, count: int) -> NDArray[np.int64]:

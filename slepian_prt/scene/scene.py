@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.lighting.environment import Environment
 from slepian_prt.scene.face_table import FaceTable, interactions
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
@@ -19,8 +18,12 @@ from slepian_prt.scene.piercing import find_pierced
 from slepian_prt.scene.ray_origins import RayOrigins, find_ray_origins
 from slepian_prt.scene.receivers import Receivers
 from slepian_prt.scene.reflectance.path_effects import passes_light
+from slepian_prt.scene.slipping import find_slipping, too_many_slip
 from slepian_prt.scene.surroundings import Surroundings, ray_heights
 from slepian_prt.scene.view import View
+
+if TYPE_CHECKING:  # parts of a scene are read with every transfer file, whose light may be of none
+    from slepian_prt.lighting.environment import Environment
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,8 @@ class Scene:
         How many times longer than wanted the longest edge is that could not be cut, or 1.
     boundaries : tuple of Mitsuba shapes
         That all light passes, around participating media; not among ``shapes``.
+    robust : bool or None
+        Whether rays are traced in Embree's robust mode; by default where it is worth its price, see `is_robust`.
     """
 
     mi: Any
@@ -111,6 +116,7 @@ class Scene:
     groups: tuple[Any, ...] = ()
     coarseness: float = 1.0
     boundaries: tuple[Any, ...] = ()
+    robust: bool | None = None
 
     @property
     def receivers(self) -> Receivers:
@@ -121,6 +127,22 @@ class Scene:
     def geometry(self) -> Any:
         """A Mitsuba scene of the shapes alone."""
         return mitsuba_scene(self)
+
+    @cached_property
+    def is_robust(self) -> bool:
+        """Whether no ray slips between triangles: on a mesh that is not too fine for its size a few may.
+
+        Walls of scenes meet in all ways, and rays to their lamps run through the middle of edges: never there.
+        """
+        if self.robust is not None:
+            return self.robust
+        on_gpu = not self.mi.variant().startswith("llvm_")  # OptiX has no other mode
+        return on_gpu or self.loaded is not None or too_many_slip(self.slipping)
+
+    @cached_property
+    def slipping(self) -> NDArray[np.float64]:
+        """(V,) bound on the part of the rays that slip between triangles where they may."""
+        return find_slipping(self)
 
     @cached_property
     def traced_positions(self) -> NDArray[np.float64]:
@@ -228,7 +250,15 @@ class Scene:
         """
         if not self.boundaries:
             return self
-        scene = replace(self, shapes=(*self.shapes, *self.boundaries), boundaries=())
+        return self._keeping_origins(replace(self, shapes=(*self.shapes, *self.boundaries), boundaries=()))
+
+    @property
+    def in_robust_mode(self) -> Scene:
+        """The scene with rays that never slip between triangles."""
+        return self if self.is_robust else self._keeping_origins(replace(self, robust=True))
+
+    def _keeping_origins(self, scene: Scene) -> Scene:
+        """Where receivers are, and their rays start, is known already."""
         for name in ("surroundings", "ray_origins", "pierced"):
             vars(scene)[name] = getattr(self, name)
         return scene
@@ -243,17 +273,17 @@ class Scene:
 
 
 def mitsuba_scene(scene: Scene, **others: Any) -> Any:
-    """A Mitsuba scene of the same shapes with other things (emitter, sensor) as given.
+    """A Mitsuba scene of the same shapes with other things (emitter, sensor) as given."""
+    return traced_scene(scene.mi, scene.shapes, scene.groups, robust=scene.is_robust, **others)
 
-    Embree's robust mode costs about a fifth of the speed. Without it rays slip between triangles, one in a million on a
-    scan, and one in four where a model is 1e-8 of the size of the floor under it.
+
+def traced_scene(mi: Any, shapes: Sequence[Any], groups: Sequence[Any], *, robust: bool = True, **others: Any) -> Any:
+    """As `mitsuba_scene`, of shapes and the groups that instances among them stand for.
+
+    Embree's ``robust`` mode costs about a fifth of the speed. Without it rays slip between triangles, fewer than one in
+    a million on a scan, and one in four where a model is 1e-8 of the size of the floor under it.
     """
-    return traced_scene(scene.mi, scene.shapes, scene.groups, **others)
-
-
-def traced_scene(mi: Any, shapes: Sequence[Any], groups: Sequence[Any], **others: Any) -> Any:
-    """As `mitsuba_scene`, of shapes and the groups that instances among them stand for."""
-    if mi.variant().startswith("llvm_"):
+    if robust and mi.variant().startswith("llvm_"):
         others = {"embree_use_robust_intersections": True, **others}
     objects = {f"group_{i}": group for i, group in enumerate(groups)}
     objects |= {f"shape_{i}": shape for i, shape in enumerate(shapes)}

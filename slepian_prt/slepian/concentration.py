@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh_tridiagonal
 
 from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer
 from slepian_prt.slepian.kernels import SecondMoment
@@ -221,6 +220,9 @@ def _grunbaum_vectors(bandlimit: int, m: int, half_angle: float, wanted: int) ->
     SIAM J. Appl. Math. 1982). Its eigenvalues are well apart where the concentrations crowd at 0 and 1, and their
     order is that of the concentrations, also where those are below rounding.
     """
+    # Only here: what reads and relights transfer starts without SciPy, which takes a quarter of a second to import.
+    from scipy.linalg import eigh_tridiagonal
+
     l = np.arange(m, bandlimit + 1, dtype=np.float64)
     diagonal = -l * (l + 1.0) * math.cos(half_angle)
     k = l[:-1]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import eval_legendre
 
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients, real_sh
@@ -51,6 +50,8 @@ def zonal_coefficients(bandlimit: int, lobe: Callable[[NDArray], NDArray], nodes
 
     The interval is split at x = 0, where lobes of a hemisphere end.
     """
+    from scipy.special import eval_legendre  # only here, so that relighting starts without SciPy
+
     bandlimit = check_bandlimit(bandlimit)
     rule = gauss_legendre(nodes)
     x = np.concatenate([0.5 * (rule.nodes - 1.0), 0.5 * (rule.nodes + 1.0)])

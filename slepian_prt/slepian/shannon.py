@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-from scipy.special import loggamma
-
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
 from slepian_prt.slepian.concentration import cap_basis
 from slepian_prt.sphere.caps import cap_area, cap_boundary
@@ -58,6 +56,8 @@ def refined_shannon_number(bandlimit: int, half_angle: float, epsilon: float) ->
     if k * sine > 0.0:
         ratio = math.log((1.0 - epsilon) / epsilon)
         c = 32.0 * math.exp(-3.0 + _curvature_term(half_angle)) * k * sine
+        from scipy.special import loggamma  # takes an eighth of a second to import
+
         phase = float(loggamma(complex(0.5, ratio / (2.0 * math.pi))).imag)
         number += k * sine / math.pi**2 * (ratio * math.log(c) - 2.0 * math.pi * phase)
     return min(max(number, 0.0), float(k * k))

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from slepian_prt.errors import UserError, check_half_angle
 from slepian_prt.sphere.directions import check_directions
@@ -118,6 +117,8 @@ def _axis_through(a: NDArray, b: NDArray, c: NDArray) -> NDArray:
 
 def _cap_beyond_hemisphere(points: NDArray) -> Cap:
     """Complement of the largest empty cap, for sets that no hemisphere holds (antipodal pairs among them)."""
+    from scipy.spatial import ConvexHull, QhullError  # only here, so that relighting starts without SciPy
+
     try:
         equations = ConvexHull(points).equations
         normals, offsets = equations[:, :3], -equations[:, 3]

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh_tridiagonal
 
 from slepian_prt.errors import UserError
 from slepian_prt.sphere.directions import check_directions
@@ -148,7 +147,7 @@ def _to_y_axis(l: int) -> NDArray[np.float64]:
         size = l + 1 - first
         eigenvalues, vectors = np.zeros(1), np.ones((1, 1))
         if size > 1:
-            eigenvalues, vectors = eigh_tridiagonal(np.zeros(size), coupling)
+            eigenvalues, vectors = np.linalg.eigh(np.diag(coupling, -1))  # which looks at the lower triangle
         columns = l + np.arange(first, l + 1) if first == 0 else l - np.arange(first, l + 1)
         k = np.arange(size)
         real_part = np.where(k % 2 == 0, np.where(k % 4 == 0, 1.0, -1.0), 0.0)

@@ -10,7 +10,6 @@ of tables (`occlusion`), followed by a rotation of each vector into the world.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, NamedTuple
@@ -29,10 +28,7 @@ from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.visibility import VisibilitySamples, VisibilityTracer
 
 # Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
-_RAYS_PER_BLOCK = 1 << 20
-
-# The constant harmonic's coefficient times this is the part of the hemisphere.
-_MEAN = np.float32(math.sqrt(4.0 * math.pi))
+_RAYS_PER_BLOCK = 1 << 21
 
 
 def unoccluded_transfer(bandlimit: int, normals: NDArray) -> NDArray[np.float32]:
@@ -130,14 +126,13 @@ class DirectTransfer(Estimator[_TracedBlock]):
     def project(self, samples: _TracedBlock) -> TransferBlock:
         """What is not blocked, as transfer vectors."""
         vertices, hidden, traced, visibility, rays = samples
-        vectors = unoccluded_transfer(self.bandlimit, self.scene.receivers.normals[vertices])
+        vectors = np.zeros((vertices.size, num_coefficients(self.bandlimit)), dtype=np.float32)
         blocked = np.zeros(vertices.size, dtype=np.float32)
-        vectors[hidden], blocked[hidden] = 0.0, 1.0
+        unshadowed = np.ones(vertices.size, dtype=bool)
+        unshadowed[hidden] = unshadowed[traced] = False
+        vectors[unshadowed] = unoccluded_transfer(self.bandlimit, self.scene.receivers.normals[vertices[unshadowed]])
+        blocked[hidden] = 1.0
         if visibility is not None:
             _, tables = self._instruments
-            occluded = tables.blocked(visibility)
-            closed = np.all(visibility.blocked, axis=0)
-            vectors[traced] -= occluded
-            vectors[traced[closed]] = 0.0  # exactly, where nothing is seen but surfaces
-            blocked[traced] = np.where(closed, 1.0, occluded[:, 0] * _MEAN)
+            vectors[traced], blocked[traced] = tables.open(visibility)
         return TransferBlock(vertices, vectors[:, None, :], blocked, rays)

@@ -11,18 +11,24 @@ projection of any vertex is a sum of table rows.
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.spatial import Delaunay, cKDTree
+from threadpoolctl import threadpool_limits
 
 from slepian_prt.scene.mesh import half_edges
 from slepian_prt.scene.receivers import morton
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
+
+if TYPE_CHECKING:
+    from scipy.spatial import Delaunay
 
 SMALLEST_SET = 8
 
@@ -34,6 +40,11 @@ _RIM = 0.995
 _RELAXATIONS = 24
 _POINTS_PER_NODE = 64
 _LARGEST_RULE = 1 << 16
+
+# Corners that may be cut off a triangle.
+_SHAPES = 3 * QUARTERS * QUARTERS
+
+_TRIANGLES_AT_ONCE = 48
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +108,13 @@ class DirectionSet:
         """
         rule = _spiral(min(_LARGEST_RULE, _POINTS_PER_NODE * self.size))
         pulled = rule.copy()
-        triangle = self.triangulation.find_simplex(pulled)
-        while (outside := triangle < 0).any():
-            pulled[outside] *= 0.996
-            triangle[outside] = self.triangulation.find_simplex(pulled[outside])
+        # Its first call solves a tiny system for each triangle, for which threads of BLAS would wait for each other: up
+        # to seconds for milliseconds of work.
+        with threadpool_limits(1, "blas"):
+            triangle = self.triangulation.find_simplex(pulled)
+            while (outside := triangle < 0).any():
+                pulled[outside] *= 0.996
+                triangle[outside] = self.triangulation.find_simplex(pulled[outside])
         a, b, c = (self.points[self.triangles[triangle, k]] for k in range(3))
         area = _cross(b - a, c - a)
         first = _cross(b - pulled, c - pulled) / area
@@ -124,6 +138,8 @@ class DirectionSet:
 @lru_cache(maxsize=4)
 def direction_set(nodes: int) -> DirectionSet:
     """A set of ``nodes`` directions about z, distributed evenly under the cosine."""
+    from scipy.spatial import Delaunay  # only here, so that what needs no ray starts without it
+
     points = _relaxed(max(nodes, SMALLEST_SET))
     points = points[np.argsort(morton(points), kind="stable")]
     triangulation = Delaunay(points)
@@ -139,45 +155,63 @@ def raise_to_sphere(points: NDArray) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=2)
 def _tables(directions: DirectionSet, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    rule, triangle, barycentric = directions._rule
-    count, shapes = len(directions.triangles), 3 * QUARTERS * QUARTERS
-    rows, columns = [], []
-    middles = (np.arange(QUARTERS) + 0.5) / QUARTERS
-    for k in range(3):
-        to_next, to_last = barycentric[:, (k + 1) % 3], barycentric[:, (k + 2) % 3]
-        for i, first in enumerate(middles):
-            for j, second in enumerate(middles):
-                inside = np.flatnonzero(to_next / first + to_last / second < 1.0)
-                rows.append(triangle[inside] * shapes + (k * QUARTERS + i) * QUARTERS + j)
-                columns.append(inside)
-    row, column = np.concatenate(rows), np.concatenate(columns)
-    cut = csr_array((np.full(row.size, 1.0, np.float32), (row, column)), shape=(count * shapes, len(rule)))
-    whole = csr_array((np.ones(len(rule)), (triangle, np.arange(len(rule)))), shape=(count, len(rule)))
-    size = num_coefficients(bandlimit)
-    corners = np.empty((count * shapes, size), dtype=np.float32)
+    size, count = num_coefficients(bandlimit), len(directions.triangles)
+    corners = np.empty((count, _SHAPES, size), dtype=np.float32)
     triangles = np.empty((count, size))
-    harmonics = real_sh(bandlimit, raise_to_sphere(rule)).astype(np.float32)
-    harmonics /= len(rule)
-    for begin in range(0, size, 64):  # a few columns at a time: the temporaries are as large as the table
-        chosen = slice(begin, begin + 64)
-        corners[:, chosen] = cut @ np.ascontiguousarray(harmonics[:, chosen])
-        triangles[:, chosen] = whole @ harmonics[:, chosen].astype(np.float64)
+    rule, triangle, barycentric = directions._rule
+    along = np.argsort(triangle, kind="stable")
+    ends = np.searchsorted(triangle[along], np.arange(count + 1))
+    points, to_corners = raise_to_sphere(rule[along]), barycentric[along]
+
+    def fill(begin: int) -> None:
+        """Rows of some triangles, whose points are few enough for the caches."""
+        end = min(count, begin + _TRIANGLES_AT_ONCE)
+        chosen = slice(ends[begin], ends[end])
+        harmonics = np.ascontiguousarray(real_sh(bandlimit, points[chosen], np.float32))
+        harmonics /= len(rule)
+        within = triangle[along[chosen]] - begin
+        triangles[begin:end] = _sums(within, np.arange(within.size), end - begin, within.size) @ harmonics
+        cut = _cut_off(to_corners[chosen], within, end - begin)
+        corners[begin:end] = (cut @ harmonics).reshape(-1, _SHAPES, size)
+
+    # NumPy and SciPy let go of the interpreter.
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(fill, range(0, count, _TRIANGLES_AT_ONCE)))
     # The rule is good to about 1e-4; what all triangles together make is known exactly.
     exact = (real_sh(bandlimit, np.array([[0.0, 0.0, 1.0]])) * cosine_lobe(bandlimit)[degrees(bandlimit)])[0]
     share = np.bincount(triangle, minlength=count)[:, None] / len(rule)
     triangles += share * (exact - triangles.sum(axis=0))
-    corners -= np.repeat((triangles / 3.0).astype(np.float32), shapes, axis=0)
-    nodes = np.zeros((directions.size, size))
+    corners -= (triangles / 3.0).astype(np.float32)[:, None]
+    corner, whose = directions.triangles.T.ravel(), np.tile(np.arange(count), 3)
+    nodes = _sums(corner, whose, directions.size, count) @ (triangles / 3.0)
+    return nodes.astype(np.float32), corners.reshape(-1, size)
+
+
+def _cut_off(barycentric: NDArray[np.float64], triangle: NDArray[np.int64], count: int) -> csr_array:
+    """Which points lie in which corners of their triangles: (48 count, n), ones."""
+    middles = (np.arange(QUARTERS) + 0.5) / QUARTERS
+    rows, columns = [], []
     for k in range(3):
-        np.add.at(nodes, directions.triangles[:, k], triangles / 3.0)
-    return nodes.astype(np.float32), corners
+        to_next = barycentric[:, (k + 1) % 3, None] / middles
+        to_last = barycentric[:, (k + 2) % 3, None] / middles
+        point, i, j = np.nonzero(to_next[:, :, None] + to_last[:, None] < 1.0)
+        rows.append(triangle[point] * _SHAPES + (k * QUARTERS + i) * QUARTERS + j)
+        columns.append(point)
+    return _sums(np.concatenate(rows), np.concatenate(columns), count * _SHAPES, len(barycentric), np.float32)
+
+
+def _sums(row: NDArray, column: NDArray, rows: int, columns: int, dtype: type = np.float64) -> csr_array:
+    """The matrix that adds up what is in the columns of each row."""
+    return csr_array((np.ones(row.size, dtype), (row, column)), shape=(rows, columns))
 
 
 def _relaxed(n: int) -> NDArray[np.float64]:
     """n points that fill the disk evenly: a golden spiral after Lloyd's relaxation, stretched to the rim."""
+    from scipy.spatial import cKDTree
+
     points, rule = _spiral(n), _spiral(32 * n)
     for _ in range(_RELAXATIONS):
-        _, cell = cKDTree(points).query(rule)
+        _, cell = cKDTree(points).query(rule, workers=-1)
         count = np.bincount(cell, minlength=n)
         sums = np.column_stack([np.bincount(cell, rule[:, axis], minlength=n) for axis in (0, 1)])
         points = sums / count[:, None]

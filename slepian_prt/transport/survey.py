@@ -31,6 +31,9 @@ from slepian_prt.transport.occlusion import OcclusionTables
 from slepian_prt.transport.path_plan import PathPilot, decide, look_at_paths
 from slepian_prt.transport.visibility import VisibilitySamples, VisibilityTracer, nodes_for, shadowed_vertices
 
+# Blocked part of the light from which on a scene is an interior.
+_INTERIOR = 0.5
+
 # Interpolation between vertices is worth a remark from this error on.
 _BETWEEN = 0.05
 
@@ -95,6 +98,8 @@ class Survey:
         receivers = np.flatnonzero(scene.receivers.active)
         possible = np.flatnonzero(shadowed_vertices(scene))
         pilot = _trace_pilot(scene, possible, receivers.size, seed)
+        if pilot.blocked.mean > _INTERIOR:
+            scene = scene.in_robust_mode  # where little light comes in, what slips through counts
         if not paths:
             return cls(scene, receivers, possible, pilot, PathPilot.none(), possible)
         traced = scene.with_media
@@ -181,7 +186,12 @@ class _Decisions:
         if possible.size == 0:
             reason = "convex: nothing reaches above any vertex's tangent plane, so no ray is traced"
             return Effect("shadows", OMITTED, 0.0, 0.0, 0, reason), possible
-        reason = f"{possible.size} of {receivers.size} vertices can be shadowed; the others need no rays"
+        scene = self._scene
+        slips = "none slips" if scene.is_robust else f"fewer than one in {1.0 / scene.slipping.mean():,.0f} slips"
+        reason = (
+            f"{possible.size} of {receivers.size} vertices can be shadowed; the others need no rays; "
+            f"{slips} between triangles"
+        )
         return Effect("shadows", SIMULATED, blocked.mean, blocked.half_width, rays, reason), possible
 
     def _interreflection(self) -> Effect:

@@ -77,7 +77,8 @@ def test_rows_and_bytes(packed, tmp_path):
 
 def test_files_without_lamps(packed, tmp_path):
     packed.save(tmp_path / "plain.prt")
-    manifest, arrays = container.read(tmp_path / "plain.prt")
+    contents = container.Contents(tmp_path / "plain.prt")
+    manifest, arrays = contents.manifest, contents.arrays()
     assert "fixed" not in manifest
     assert not [name for name in arrays if name.startswith("fixed")]
     assert load(tmp_path / "plain.prt").fixed is None
@@ -85,7 +86,8 @@ def test_files_without_lamps(packed, tmp_path):
 
 def test_lamps_that_do_not_fit(packed, tmp_path):
     replace(packed, fixed=lamps()).save(tmp_path / "lit.prt")
-    manifest, arrays = container.read(tmp_path / "lit.prt")
+    contents = container.Contents(tmp_path / "lit.prt")
+    manifest, arrays = contents.manifest, contents.arrays()
     content = {key: value for key, value in manifest.items() if key not in ("format", "version", "arrays")}
     for name in ("fixed/direct", "fixed/bounced_scale"):
         container.write(tmp_path / "cut.prt", content, {**arrays, name: arrays[name][:-1]})

@@ -74,11 +74,11 @@ def test_a_sweep_of_tolerances_is_coded_the_same(noisy):
 
 def test_files_tell_the_noise(noisy, clean, tmp_path):
     compress(noisy, tolerance=0.2, clusters=8).save(tmp_path / "noisy.prt")
-    manifest, _ = container.read(tmp_path / "noisy.prt")
+    manifest = container.Contents(tmp_path / "noisy.prt").manifest
     assert manifest["noise"] == NOISE
     assert load(tmp_path / "noisy.prt").path_noise == NOISE
     compress(clean, tolerance=0.2, clusters=8).save(tmp_path / "clean.prt")
-    assert "noise" not in container.read(tmp_path / "clean.prt")[0]
+    assert "noise" not in container.Contents(tmp_path / "clean.prt").manifest
     assert load(tmp_path / "clean.prt").path_noise is None
     for transfer in (noisy, clean):
         transfer.save(tmp_path / "transfer.npz")

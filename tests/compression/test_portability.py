@@ -17,30 +17,31 @@ from tests.numerics import assert_rounded
 # Kernels of OpenBLAS, which takes them by this name, and what a processor needs to run them.
 KERNELS = {"Prescott": "SSE3", "Haswell": "AVX2", "Zen": "AVX2", "SkylakeX": "AVX512F"}
 
-# Decodes a file, each cap, and codes what comes out again; prints digests of integers, and rows of axes as numbers.
+# Decodes a file, all caps together, and codes what comes out again; prints digests of integers, and rows of axes.
 CODE = """
 import hashlib, json, sys
-import numpy as np, threadpoolctl
-from slepian_prt.compression.codec import caps, entropy
+import threadpoolctl
+from slepian_prt.compression.codec import cap_stream, caps, encoding
 from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.prt_file import load
 
 integers, contexts = hashlib.sha256(), hashlib.sha256()
-read = entropy.Reader.values
-def values(reader, count, model):
-    contexts.update(f"{count} symbols by model {model};".encode())
-    return read(reader, count, model)
-entropy.Reader.values = values
+read = cap_stream.CapsReader.symbols
+def symbols(reader, counts, models):
+    contexts.update(counts.tobytes() + models.astype("<i8").tobytes())
+    return read(reader, counts, models)
+cap_stream.CapsReader.symbols = symbols
 
 packed, axes = load(sys.argv[1]), []
-tuning = packed.coded.tuning
-for words, basis, members in zip(packed.coded.words, packed.bases, packed.clusters.members):
-    surface = surface_of(packed.mesh.receivers).cap(members)
-    cap = caps.decode_cap(words, basis.count * packed.channels, surface, tuning)
+tuning, rows = packed.coded.tuning, surface_of(packed.mesh.receivers).rows(packed.clusters.members)
+components = [basis.count * packed.channels for basis in packed.bases]
+decoded = caps.decode_caps(packed.coded.caps, components, rows, tuning)
+for cap in decoded:
     integers.update(cap.multiples.tobytes())
-    again = caps.encode_cap(cap.values(tuning.step), surface, tuning, principal_axes=False)
-    contexts.update(again.words.tobytes())
     axes.append(None if cap.axes is None else cap.axes.tolist())
+values = [cap.values(tuning.step) for cap in decoded]
+for again in encoding.encode_caps(values, rows, tuning, principal_axes=[False] * len(values)):
+    contexts.update(again.content.lanes.words.tobytes() + again.content.bits.tobytes())
 kernels = {library.get("architecture") for library in threadpoolctl.threadpool_info()} - {None}
 print(json.dumps([integers.hexdigest(), contexts.hexdigest(), axes, sorted(kernels)]))
 """

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.stream import compress
-from slepian_prt.relighting.operator import Factors, TransferOperator, drop_least, transfer_operator
+from slepian_prt.relighting.factors import Factors
+from slepian_prt.relighting.operator import TransferOperator, transfer_operator
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy
@@ -49,30 +50,23 @@ def test_apply_is_the_product_and_adjoint_its_transpose(channels, count, rng):
     np.testing.assert_allclose(back, expected, atol=1e-5 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-def test_leaving_out_keeps_to_the_energy_allowed_and_no_function_too_many(channels, rng):
-    parts, _, _ = made_up(rng, channels)
-    weights = rng.random(25) + 0.1
-    parts = [part for part in parts if part.coefficients.size]
-    fewer = drop_least(parts, weights, 0.3)
-    lost = total = 0.0
-    for part, less in zip(parts, fewer, strict=True):
-        full = np.einsum("nr,rcm->ncm", part.coefficients, part.functions) * weights
-        kept = np.einsum("nr,rcm->ncm", less.coefficients, less.functions) * weights
-        lost, total = lost + np.sum((full - kept) ** 2), total + np.sum(full**2)
-    assert 0.15 < np.sqrt(lost / total) <= 0.3
-    count = sum(less.coefficients.size for less in fewer)
-    assert count < sum(part.coefficients.size for part in parts)
-
-
-def test_leaving_out_nothing_keeps_the_product_with_dependent_functions(rng):
-    functions = rng.normal(size=(3, 1, 25))
-    doubled = Factors(rng.normal(size=(10, 6)).astype(np.float32), np.concatenate([functions, 2.0 * functions]))
-    (same,) = drop_least([doubled], np.ones(25), 0.0)
-    assert same.coefficients.shape == (10, 3)
-    np.testing.assert_allclose(
-        same.coefficients @ same.functions[:, 0], doubled.coefficients @ doubled.functions[:, 0], atol=1e-5
-    )
+def test_caps_of_many_tiles_and_functions_of_many_strips(rng):
+    sizes, ranks = (0, 1, 127, 128, 129, 700), (3, 0, 64, 65, 130, 5)  # around whole tiles and whole strips
+    members = np.split(rng.permutation(sum(sizes)), np.cumsum(sizes)[:-1])
+    parts = [
+        Factors(rng.normal(size=(n, r)).astype(np.float32), rng.normal(size=(r, 3, 25)).astype(np.float32))
+        for n, r in zip(sizes, ranks, strict=True)
+    ]
+    operator, lights = TransferOperator(parts, members), rng.normal(size=(3, 3, 25))
+    expected = np.empty((3, sum(sizes), 3))
+    for vertices, part in zip(members, parts, strict=True):
+        expected[:, vertices] = np.einsum("nr,rcm,bcm->bnc", part.coefficients, part.functions, lights)
+    allowed = 130 * 25 * np.finfo(np.float32).eps * np.abs(expected).max()
+    np.testing.assert_allclose(operator.apply(lights), expected, rtol=0, atol=allowed)
+    for light, radiance in zip(lights, expected, strict=True):
+        np.testing.assert_allclose(operator.apply(light[None])[0], radiance, rtol=0, atol=allowed)
+    gradient = rng.normal(size=expected.shape)
+    np.testing.assert_allclose(np.sum(operator.adjoint(gradient) * lights), np.sum(gradient * expected), rtol=1e-4)
 
 
 @pytest.mark.parametrize("coding", ["coded", "float32", "float16"])

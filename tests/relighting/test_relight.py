@@ -12,7 +12,7 @@ from slepian_prt.lighting.environment import make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.drawing.camera import trace_camera
 from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb, write_picture
-from slepian_prt.relighting.files.outputs import write_radiance
+from slepian_prt.relighting.files.numbers import write_radiance
 from slepian_prt.relighting.relight import relight
 from slepian_prt.renderer.variants import bitmap_module
 from slepian_prt.scene.loading import open_scene

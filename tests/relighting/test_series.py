@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.projection import project_environment
-from slepian_prt.relighting.files import films, outputs
+from slepian_prt.relighting.files import films, outputs, wishes
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.series import Lights, relight_series
 from slepian_prt.transport.transfer import precompute
@@ -147,7 +147,7 @@ def test_without_an_encoder(monkeypatch):
     monkeypatch.setattr(films.shutil, "which", lambda _: None)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(UserError, match="films need ffmpeg"):
-        outputs.check_output("film.mp4", [], ["a", "b"], outputs.Wish(), several=True)
+        wishes.check_output("film.mp4", [], ["a", "b"], wishes.Wish(), several=True)
 
 
 def test_series_that_fail_leave_nothing(folder, tmp_path, monkeypatch):
@@ -166,5 +166,5 @@ def test_series_that_fail_leave_nothing(folder, tmp_path, monkeypatch):
 
     monkeypatch.setattr(outputs, "write_radiance", fails)
     with pytest.raises(UserError, match="No space left on device"):
-        outputs.write_relit(str(tmp_path / "out"), packed, series, outputs.Wish(".npz"))
+        outputs.write_relit(str(tmp_path / "out"), packed, series, wishes.Wish(".npz"))
     assert list(tmp_path.iterdir()) == []

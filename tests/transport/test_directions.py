@@ -12,6 +12,7 @@ from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.occlusion import OcclusionTables
 from slepian_prt.transport.visibility import VisibilitySamples
+from tests.numerics import assert_rounded
 
 MEAN = math.sqrt(4 * math.pi)
 
@@ -99,3 +100,29 @@ def test_straight_boundaries_are_found_to_second_order(nodes):
     deviation = edge / (8.0 * math.sqrt(3.0)) * math.sqrt(np.mean(sizes) * edge / 2.2) / np.pi
     expected = deviation * math.sqrt(36 / (4.0 * np.pi))
     assert math.sqrt(np.mean(errors)) < 1.5 * expected
+
+
+def test_tables_are_sums_over_the_points_of_the_rule():
+    """As their docstring has it, one corner after the other."""
+    directions = direction_set(20)
+    nodes, corners = directions.tables(3)
+    rule, triangle, barycentric = directions._rule
+    harmonics = real_sh(3, np.column_stack([rule, np.sqrt(1.0 - np.sum(rule * rule, axis=1))])) / len(rule)
+    exact = (real_sh(3, [[0.0, 0.0, 1.0]]) * cosine_lobe(3)[degrees(3)])[0]
+    missing = (exact - harmonics.sum(axis=0)) / len(rule)  # goes to triangles by their share of the points
+    expected = np.zeros((directions.size, 16))
+    for t, ends in enumerate(directions.triangles):
+        inside = triangle == t
+        third = (harmonics[inside].sum(axis=0) + inside.sum() * missing) / 3.0
+        expected[ends] += third
+        for k, i, j in np.ndindex(3, 4, 4):
+            to_next, to_last = barycentric[:, (k + 1) % 3], barycentric[:, (k + 2) % 3]
+            cut = inside & (to_next / ((i + 0.5) / 4) + to_last / ((j + 0.5) / 4) < 1.0)
+            row = ((3 * t + k) * 4 + i) * 4 + j
+            assert_rounded(
+                corners[row],
+                (harmonics[cut].sum(axis=0) - third).astype(np.float32),
+                300,
+                1.0 / len(directions.triangles),
+            )
+    assert_rounded(nodes, expected.astype(np.float32), 300, 1.0)

@@ -14,7 +14,8 @@ from slepian_prt.transport.directions import SMALLEST_SET, direction_set
 from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import precompute
-from slepian_prt.transport.visibility import VisibilityTracer, nodes_for
+from slepian_prt.transport.visibility import VisibilityTracer, disagreements, nodes_for
+from tests.numerics import assert_exact
 
 AMBIENT = math.sqrt(4 * math.pi)
 
@@ -86,3 +87,16 @@ def test_nodes_leave_room_for_bisection(samples, changes):
     nodes = nodes_for(samples, changes)
     assert cost(nodes) <= samples or nodes == SMALLEST_SET
     assert cost(nodes + 1) > samples
+
+
+@pytest.mark.parametrize("receivers", [1, 7, 8, 9, 100])
+@pytest.mark.parametrize("size", [2, 3])
+def test_disagreements_are_found_one_by_one(receivers, size, rng):
+    """At the ends of bytes too; nothing is found in the bits that fill up the last."""
+    blocked = rng.random((20, receivers)) < 0.5
+    blocked[:, 0] = True
+    groups = np.array([rng.choice(20, size, replace=False) for _ in range(50)])
+    expected = [
+        (g, r) for g, nodes in enumerate(groups) for r in range(receivers) if 0 < blocked[nodes, r].sum() < size
+    ]
+    assert_exact(np.column_stack(disagreements(blocked, groups)), np.array(expected).reshape(-1, 2), "whole numbers")

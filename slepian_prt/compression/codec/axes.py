@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.codec.entropy import MODELS, Reader, Writer, bit_costs, symbols_of
+from slepian_prt.compression.codec.cap_stream import CapsReader, CapsWriter, from_zigzag, zigzag
+from slepian_prt.compression.codec.models import MODELS, plain_tokens, token_bits
 
 # Principal axes are kept down to this standard deviation in steps, to within this part of a step of what they carry,
 # and stored in multiples of 2^-e.
 _AXIS_COUNTS = 0.25
 _AXIS_ERROR = 0.15
 _COARSEST_AXES, _FINEST_AXES = 4, 15
+
+# Models of the differences between the exponents, and the models, of successive axes; and what the first differ from.
+_STEP_MODEL = 16
+_FIRST_EXPONENT, _FIRST_MODEL = 8, 20
 
 
 @dataclass(frozen=True)
@@ -38,26 +44,62 @@ class RoundedAxes:
         """The first ``count`` axes."""
         return RoundedAxes(self.multiples[:count], self.exponents[:count], self.rows[:count])
 
-    def write(self, writer: Writer) -> None:
-        """Code the multiples, each axis with the model that takes the fewest bits."""
-        writer.number(len(self.multiples), self.multiples.shape[1] + 1)
-        for row, exponent in zip(self.multiples, self.exponents.tolist(), strict=True):
-            cost = bit_costs()[:, symbols_of(row)].sum(axis=1)
-            model = int(np.argmin(cost))
-            writer.number(exponent, _FINEST_AXES + 1)
-            writer.number(model, MODELS)
-            writer.values(row, model)
+    @property
+    def bits(self) -> float:
+        """What they cost in a file, nearly."""
+        return float(self._costs().min(axis=1, initial=np.inf).sum()) if len(self.multiples) else 0.0
 
-    @staticmethod
-    def read(reader: Reader, components: int) -> RoundedAxes:
-        """The inverse of `write`."""
-        count = reader.number(components + 1)
-        multiples = np.zeros((count, components), dtype=np.int32)
-        exponents = np.zeros(count, dtype=np.int64)
-        for i in range(count):
-            exponents[i] = reader.number(_FINEST_AXES + 1)
-            multiples[i] = reader.values(components, reader.number(MODELS))
-        return RoundedAxes(multiples, exponents, _orthonormal(multiples, exponents)[0])
+    def models(self) -> NDArray[np.int64]:
+        """(A,) models that code the multiples of each axis with the fewest bits."""
+        return self._costs().argmin(axis=1)
+
+    def _costs(self) -> NDArray[np.float64]:
+        """(A, MODELS) bits."""
+        tokens = plain_tokens(np.abs(self.multiples))
+        return np.array([token_bits()[:, row].sum(axis=1) for row in tokens]).reshape(-1, MODELS)
+
+
+def write_axes(writer: CapsWriter, axes: Sequence[RoundedAxes | None]) -> None:
+    """Write those of all caps; None where there are none."""
+    counts = np.array([0 if part is None else len(part.multiples) for part in axes], dtype=np.int64)
+    if not counts.any():
+        return
+    held = [part for part in axes if part is not None]
+    models = [part.models() for part in held]
+    usual = np.full(int(counts.sum()), _STEP_MODEL)
+    writer.numbers(counts, _steps([part.exponents for part in held], _FIRST_EXPONENT), usual)
+    writer.numbers(counts, _steps(models, _FIRST_MODEL), usual)
+    sizes = np.array([0 if part is None else part.multiples.size for part in axes], dtype=np.int64)
+    of_numbers = [np.repeat(own, part.multiples.shape[1]) for own, part in zip(models, held, strict=True)]
+    writer.values(sizes, np.concatenate([part.multiples.ravel() for part in held]), np.concatenate(of_numbers))
+
+
+def read_axes(reader: CapsReader, counts: NDArray[np.int64], components: Sequence[int]) -> list[RoundedAxes | None]:
+    """The inverse of `write_axes`: ``counts`` (caps,) axes of so many components, None where there are none.
+
+    Raises
+    ------
+    ValueError
+        Numbers that no writer writes.
+    """
+    if not counts.any():
+        return [None] * counts.size
+    usual = np.full(int(counts.sum()), _STEP_MODEL)
+    exponents = _sums(reader.numbers(counts, usual), counts, _FIRST_EXPONENT)
+    models = _sums(reader.numbers(counts, usual), counts, _FIRST_MODEL)
+    for numbers, limit in ((exponents, _FINEST_AXES), (models, MODELS - 1)):
+        if numbers.min() < 0 or numbers.max() > limit:
+            raise ValueError("principal axes")
+    widths = np.repeat(np.asarray(components, dtype=np.int64), counts)
+    sizes = counts * np.asarray(components, dtype=np.int64)
+    multiples = np.split(reader.values(sizes, np.repeat(models, widths)).astype(np.int32), np.cumsum(sizes)[:-1])
+    found: list[RoundedAxes | None] = []
+    for count, width, part, own in zip(
+        counts, components, multiples, np.split(exponents, np.cumsum(counts)[:-1]), strict=True
+    ):
+        rows = part.reshape(int(count), width)
+        found.append(RoundedAxes(rows, own, _orthonormal(rows, own)[0]) if count else None)
+    return found
 
 
 def round_axes(x: NDArray, step: float) -> RoundedAxes | None:
@@ -80,3 +122,14 @@ def _orthonormal(multiples: NDArray, exponents: NDArray) -> tuple[NDArray[np.flo
     q, r = np.linalg.qr(rows.T)
     lengths = np.diag(r)
     return (q * np.where(lengths < 0.0, -1.0, 1.0)).T, np.abs(lengths)
+
+
+def _steps(parts: Sequence[NDArray[np.int64]], first: int) -> NDArray[np.int64]:
+    """Differences between successive numbers, without a sign."""
+    return np.concatenate([zigzag(np.diff(part, prepend=first)) for part in parts])
+
+
+def _sums(steps: NDArray[np.int64], counts: NDArray[np.int64], first: int) -> NDArray[np.int64]:
+    """What `_steps` was made from."""
+    parts = np.split(from_zigzag(steps), np.cumsum(counts)[:-1])
+    return np.concatenate([first + np.cumsum(part) for part in parts])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,9 @@ from scipy.sparse import csr_array
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
+from slepian_prt.relighting.drawing.film_filter import FilmFilter
 from slepian_prt.relighting.drawing.pictures import Picture
+from slepian_prt.relighting.drawing.pixel_rays import NOTHING, OTHER, CameraRays, Corners, Seen, widened
 from slepian_prt.relighting.drawing.texture_lookup import TextureLookup
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
@@ -22,6 +24,18 @@ from slepian_prt.scene.view import Aim, aimed_view
 from slepian_prt.transport.transfer import Transfer
 
 _SEED = 17
+
+# By the side of the square that their rays fill: pixels that show small faces, but nothing that ends.
+_SMALL_FACE_STRATA = 4
+
+# An edge that few rays missed is followed for as many times the reach of the filter, which is a pixel at least.
+_FOLLOWED = 30
+
+# By the side of the square that their rays fill: pixels that it may go on into.
+_LOOKING_STRATA = 3
+
+# Of rays that need not be counted.
+_NO_WEIGHT = 0.02
 
 # Of a relit picture where the scene has no camera, in pixels.
 DEFAULT_WIDTH = 800
@@ -156,7 +170,7 @@ def aim_camera(scene: Scene, aim: Aim | None, width: int, *, toward_view: bool =
 def trace_camera(
     scene: Scene,
     width: int | None = None,
-    strata: int = 5,
+    strata: int = 6,
     *,
     backs: NDArray[np.integer] | None = None,
     detail: SurfaceDetail | None = None,
@@ -164,6 +178,8 @@ def trace_camera(
     """Trace the scene's camera, or one that frames it.
 
     Rays are weighted with the reconstruction filter of the film, so that the picture is comparable with Mitsuba's.
+    Where a pixel shows one smooth surface, whose faces are not too small, rays through its corners are enough; they are
+    shared with its neighbours. Elsewhere rays are spread as the filter is.
 
     Parameters
     ----------
@@ -171,7 +187,7 @@ def trace_camera(
     width : int, optional
         In pixels, by default that of the scene's film.
     strata : int
-        Each pixel gets ``strata``² rays.
+        A pixel in which something ends gets ``strata``² rays.
     backs : (V,), optional
         As of `back_vertices`, by default those of the parts of the scene.
     detail : SurfaceDetail, optional
@@ -181,27 +197,133 @@ def trace_camera(
 
     view = sensor(scene, width)
     backs = back_vertices(scene.parts, len(scene.mesh.positions)) if backs is None else backs
-    textures = None if detail is None else TextureLookup(scene.mi, detail)
-    columns, rows = (int(n) for n in view.film().size())
-    pixels = rows * columns
-    # Σ filter × barycentric, × reflectance
-    weights = [csr_array((pixels, len(backs)), dtype=np.float32) for _ in range(1 if textures is None else 3)]
-    filter_sum = np.zeros(pixels)  # Σ filter, of all rays
-    met = np.zeros(pixels)  # of those that meet any shape
-    covered = np.zeros(pixels)  # of those that meet the front of a receiver's surface
-    for position, w in _film_samples(scene.mi, view.film(), strata):
-        ray, _ = view.sample_ray(0.0, 0.5, position, scene.mi.Point2f(0.5, 0.5))
-        valid, front, barycentric, reflectance = _trace_barycentric(scene, ray, backs, textures)
-        filter_sum += w
-        met += w * valid
-        covered += w * front
-        for channel, factors in enumerate(reflectance * w):
-            weights[channel] = weights[channel] + _scaled(barycentric, factors)
+    rays = CameraRays(scene, view, backs, None if detail is None else TextureLookup(scene.mi, detail))
+    film_filter = FilmFilter.of_film(scene.mi, view.film())
+    weight = film_filter.middle_weight
+    corners = Corners(rays, in_middle=weight is not None and abs(weight) > _NO_WEIGHT)
+    rng = np.random.default_rng(_SEED)
+    if weight is None:
+        whole = np.ones((corners.rows, corners.columns), dtype=bool)
+        pieces = [piece for piece, _ in _sampled_pixels(rays, film_filter, whole, strata, rng)]
+    else:
+        edge, small = corners.sort(_areas_about(scene))
+        pieces, edge = _followed_edges(rays, film_filter, widened(edge, film_filter.reach), strata, rng)
+        small &= ~edge
+        few = min(strata, _SMALL_FACE_STRATA)
+        pieces += [piece for piece, _ in _sampled_pixels(rays, film_filter, small, few, rng)]
+        plain = ~(edge | small).ravel() & (corners.seen.face[corners.first_middle :] != NOTHING)
+        pieces += _plain_pixels(corners, np.flatnonzero(plain).astype(np.int32), weight)
     dr.flush_malloc_cache()
-    scale = 1.0 / np.maximum(filter_sum, 1e-12)
-    alpha, behind = ((part * scale).astype(np.float32).reshape(rows, columns) for part in (covered, met - covered))
-    weights = [_scaled(one, scale) for one in weights]
-    return Camera(tuple(weights), alpha, np.maximum(behind, 0.0), middle_directions(scene.mi, view))
+    return _camera(pieces, corners, rays.corners, len(backs), middle_directions(scene.mi, view))
+
+
+class _Pixels(NamedTuple):
+    """Some pixels (n,), ascending, and what each of k rays sees there; ``weights`` (n, k) sum to one."""
+
+    pixels: NDArray[np.integer]
+    weights: NDArray[np.float32]
+    seen: Seen
+
+
+def _plain_pixels(corners: Corners, pixels: NDArray[np.int32], middle_weight: float) -> list[_Pixels]:
+    """Pixels of which the middle and the corners tell all; those of one face as if it was met once."""
+    weights = np.array([middle_weight, *[0.25 * (1.0 - middle_weight)] * 4], dtype=np.float32)
+    rays = corners.around(pixels)
+    if abs(middle_weight) < _NO_WEIGHT:
+        rays, weights = rays[:, 1:], np.full(4, 0.25, dtype=np.float32)
+    face = corners.seen.face[rays]
+    # Reflectance is the same as good as everywhere in a pixel.
+    alone = (face[:, 1:] == face[:, :1]).all(axis=1)
+    first = corners.seen.of(rays[alone, 0])
+    one = first._replace(u=corners.seen.u[rays[alone]] @ weights, v=corners.seen.v[rays[alone]] @ weights)
+    several = np.broadcast_to(weights, (len(pixels) - int(alone.sum()), weights.size))
+    return [
+        _Pixels(pixels[alone], np.ones((one.face.size, 1), dtype=np.float32), one),
+        _Pixels(pixels[~alone], several, corners.seen.of(rays[~alone].ravel())),
+    ]
+
+
+def _followed_edges(
+    rays: CameraRays, film_filter: FilmFilter, edge: NDArray[np.bool_], strata: int, rng: np.random.Generator
+) -> tuple[list[_Pixels], NDArray[np.bool_]]:
+    """Pixels (H, W) in which something ends, and those that it goes on into though few rays did not meet it there."""
+    pieces, looked = [], edge.copy()
+    done = np.zeros_like(edge)
+    for _ in range(_FOLLOWED):
+        ends = np.zeros_like(edge)
+        for piece, found in _sampled_pixels(rays, film_filter, edge, strata, rng):
+            pieces.append(piece)
+            ends.ravel()[piece.pixels] = found
+        done |= edge
+        near = widened(ends, max(1, film_filter.reach)) & ~looked
+        if not near.any():
+            break
+        looked |= near
+        edge = np.zeros_like(edge)
+        for piece, found in _sampled_pixels(rays, film_filter, near, _LOOKING_STRATA, rng):
+            edge.ravel()[piece.pixels] = found
+    return pieces, done
+
+
+def _sampled_pixels(
+    rays: CameraRays, film_filter: FilmFilter, chosen: NDArray[np.bool_], strata: int, rng: np.random.Generator
+) -> Iterator[tuple[_Pixels, NDArray[np.bool_]]]:
+    """Pixels (H, W) whose filter is sampled, jittered in each of its strata; and whether something ends in each."""
+    pixels, stratum = np.flatnonzero(chosen), np.arange(strata * strata)
+    jitter = rng.random((2, pixels.size, stratum.size), dtype=np.float32)
+    dx, sign_x = film_filter.sample((stratum % strata + jitter[0]) / strata)
+    dy, sign_y = film_filter.sample((stratum // strata + jitter[1]) / strata)
+    weights = sign_x * sign_y
+    weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1.0)
+    for block, seen, ends in rays.see_many(pixels, dx, dy):
+        yield _Pixels(pixels[block], weights[block], seen), ends
+
+
+def _camera(
+    pieces: Sequence[_Pixels],
+    corners: Corners,
+    table: NDArray[np.int32],
+    receivers: int,
+    directions: NDArray[np.float32],
+) -> Camera:
+    """Rows of the weights of all pixels put together; ``table`` is that of the receivers at the corners of faces."""
+    pixels = corners.rows * corners.columns
+    alpha, behind = np.zeros(pixels, dtype=np.float32), np.zeros(pixels, dtype=np.float32)
+    counts = np.zeros(pixels + 1, dtype=np.int64)
+    for piece in pieces:
+        face = piece.seen.face.reshape(piece.weights.shape)
+        alpha[piece.pixels] = np.sum(piece.weights * (face >= 0), axis=1)
+        behind[piece.pixels] = np.sum(piece.weights * (face == OTHER), axis=1)
+        counts[piece.pixels + 1] = 3 * np.sum(face >= 0, axis=1)
+    starts = np.cumsum(counts)
+    vertices = np.empty(starts[-1], dtype=np.int32 if starts[-1] < 2**31 else np.int64)
+    channels = corners.seen.reflectance.shape[1]
+    values = [np.empty(starts[-1], dtype=np.float32) for _ in range(channels)]
+    for piece in pieces:
+        front = np.flatnonzero(piece.seen.face >= 0)
+        row = front // piece.weights.shape[1]
+        # Where the rays of a pixel go, one after the other.
+        first = np.concatenate([[0], np.cumsum(counts[piece.pixels + 1] // 3)])
+        places = (starts[piece.pixels[row]] + 3 * (np.arange(front.size) - first[row]))[:, None] + np.arange(3)
+        face, u, v, reflectance = piece.seen.of(front)
+        vertices[places] = table[face]
+        weighted = np.stack([1.0 - u - v, u, v], axis=1) * piece.weights.ravel()[front, None]
+        for channel in range(channels):
+            values[channel][places] = weighted * reflectance[:, channel, None]
+    indices = starts.astype(vertices.dtype)
+    weights = tuple(csr_array((data, vertices, indices), shape=(pixels, receivers)) for data in values)
+    shape = corners.rows, corners.columns
+    alpha, behind = np.clip(alpha, 0.0, 1.0).reshape(shape), np.maximum(behind, 0.0).reshape(shape)
+    return Camera(weights, alpha, behind, directions)
+
+
+def _areas_about(scene: Scene) -> NDArray[np.float64]:
+    """(V,) mean area of the faces about each receiver, in the space that Mitsuba traces in."""
+    faces, positions = scene.mesh.faces, scene.mesh.positions / scene.scale
+    a, b, c = (positions[faces[:, corner]] for corner in range(3))
+    area = np.repeat(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1), 3)
+    count = np.bincount(faces.ravel(), minlength=len(positions))
+    return np.bincount(faces.ravel(), area, minlength=len(positions)) / np.maximum(count, 1)
 
 
 def middle_directions(mi: Any, view: Any) -> NDArray[np.float32]:
@@ -212,71 +334,3 @@ def middle_directions(mi: Any, view: Any) -> NDArray[np.float32]:
     place = mi.Point2f(x.astype(np.float32), y.astype(np.float32))
     ray, _ = view.sample_ray(0.0, 0.5, place, mi.Point2f(0.5, 0.5))
     return np.array(ray.d, dtype=np.float32).T.reshape(rows, columns, 3)
-
-
-def _film_samples(mi: Any, film: Any, strata: int) -> Iterator[tuple[Any, NDArray[np.float32]]]:
-    """A place on the film for each pixel, jittered in one stratum of its filter after the other, and filter weights.
-
-    Places are Point2f in [0, 1]², row by row.
-    """
-    columns, rows = (int(n) for n in film.size())
-    reconstruction = film.rfilter()
-    radius = float(reconstruction.radius())
-    rng = np.random.default_rng(_SEED)
-    pixel = np.arange(rows * columns)
-    x, y = (pixel % columns).astype(np.float32), (pixel // columns).astype(np.float32)
-    for stratum in range(strata * strata):
-        jitter = (rng.random((2, pixel.size)) + [[stratum % strata], [stratum // strata]]) / strata
-        dx, dy = ((2.0 * jitter - 1.0) * radius).astype(np.float32)
-        weight = np.array(reconstruction.eval(mi.Float(dx))) * np.array(reconstruction.eval(mi.Float(dy)))
-        yield mi.Point2f((x + 0.5 + dx) / columns, (y + 0.5 + dy) / rows), weight
-
-
-def _scaled(matrix: csr_array, factors: NDArray) -> csr_array:
-    """Rows times factors."""
-    data = matrix.data * np.repeat(factors, np.diff(matrix.indptr)).astype(np.float32)
-    return csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-
-
-def _trace_barycentric(
-    scene: Scene, ray: Any, backs: NDArray[np.integer], textures: TextureLookup | None
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], csr_array, NDArray[np.float32]]:
-    """What P rays meet.
-
-    Returns
-    -------
-    valid : (P,)
-        Whether that is any shape.
-    seen : (P,)
-        Whether it is a side of a surface that has receivers.
-    barycentric : sparse (P, V) float32
-        Weights of the receivers there.
-    reflectance : (1 or 3, P) float32
-        By textures; one without any.
-    """
-    import drjit as dr
-
-    mi = scene.mi
-    hit = scene.geometry.ray_intersect_preliminary(ray)
-    # A ray that slips through an edge of a closed mesh meets its back too: without this test, bright speckles.
-    si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit.is_valid())
-    toward = hit.is_valid() & (dr.dot(si.n, ray.d) < 0.0)
-    dr.eval(hit, toward)  # once: each array that is taken of them would trace the rays again
-    facing = np.array(toward)
-    seen = np.zeros(facing.size, dtype=bool)
-    shape = (seen.size, len(scene.mesh.positions))
-    face = np.array(scene.hit_faces(hit))
-    rays = np.flatnonzero(face >= 0)
-    corners = scene.faces[face[rays]].T.astype(np.int64)
-    corners = np.where(facing[rays], corners, backs[corners])
-    kept = (corners >= 0).all(axis=0)
-    rays, corners = rays[kept], corners[:, kept]
-    u, v = np.array(hit.prim_uv)[:, rays]
-    entries = np.concatenate([1.0 - u - v, u, v]).astype(np.float32)
-    barycentric = csr_array((entries, (np.tile(rays, 3), corners.ravel())), shape=shape)
-    seen[rays] = True
-    reflectance = np.ones((1, seen.size), dtype=np.float32)
-    if textures is not None:
-        u, v = hit.prim_uv
-        reflectance = np.array(textures.reflectance(hit.prim_index, u, v, mi.Bool(seen)), dtype=np.float32)
-    return np.array(hit.is_valid()), seen, barycentric, reflectance

@@ -15,7 +15,7 @@ from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.scene.film import Film
 
 if TYPE_CHECKING:
-    from slepian_prt.relighting.drawing.drawings import Taking
+    from slepian_prt.relighting.drawing.taking import Taking
 
 
 @dataclass(frozen=True, eq=False)

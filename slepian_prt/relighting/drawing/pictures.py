@@ -10,11 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import ImageColor
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output
-from slepian_prt.renderer.variants import bitmap_module
 
 # What may stand behind a model beside a colour: nothing, or the environment.
 TRANSPARENT = "transparent"
@@ -84,6 +82,8 @@ class Finish:
 
 
 def _parse_colour(name: Any) -> tuple[int, ...]:
+    from PIL import ImageColor  # only for a colour, so that relighting starts without Pillow
+
     known = isinstance(name, str) and (name.startswith("#") or name.lower() in ImageColor.colormap)
     try:
         colour: tuple[int, ...] = ImageColor.getrgb(name) if known else ()
@@ -174,6 +174,8 @@ def write_picture(path: str | Path, picture: Picture, scale: float | None = None
     UserError
         Another suffix, or a folder that cannot be written to.
     """
+    from slepian_prt.renderer.variants import bitmap_module  # only here: what is asked of pictures needs no renderer
+
     path, finish = Path(path), finish or Finish()
     mi = bitmap_module()
     if path.suffix.lower() == ".exr":

@@ -15,9 +15,10 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError, check_integer
 from slepian_prt.files import check_writable
 from slepian_prt.lighting.environment import Environment, read_environment
-from slepian_prt.relighting.drawing.drawings import Lit, Taking, open_drawing
+from slepian_prt.relighting.drawing.drawings import open_drawing
 from slepian_prt.relighting.drawing.pictures import MAP, Finish, Picture, display, linear, write_picture
 from slepian_prt.relighting.drawing.shots import Shots
+from slepian_prt.relighting.drawing.taking import Lit, Taking
 from slepian_prt.relighting.relight import relight, stand_lighting
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.view import Aim, up_rotation

@@ -6,11 +6,14 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output
 from slepian_prt.relighting.drawing.pictures import to_srgb
-from slepian_prt.relighting.drawing.shots import Shots
+
+if TYPE_CHECKING:
+    from slepian_prt.relighting.drawing.shots import Shots
 
 _FRAMES_PER_SECOND = 30
 

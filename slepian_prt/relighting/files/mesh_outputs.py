@@ -1,8 +1,8 @@
-"""Relit results on the mesh itself: numbers per vertex, and meshes with colours and textures."""
+"""Relit results on the mesh itself: meshes with colours and textures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,54 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.files import atomic_output
 from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
 from slepian_prt.relighting.files.coloured_mesh import as_in_source, write_ply, write_textured_ply
 from slepian_prt.relighting.files.glb_file import write_glb
 from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh, textured_faces
+from slepian_prt.relighting.files.wishes import GLB, PLY
 from slepian_prt.relighting.relight import white_radiance
 from slepian_prt.relighting.series import Series
 from slepian_prt.relighting.source import locate_source
-from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
-
-GLB, PLY = ".glb", ".ply"
-
-
-def write_radiance(path: str | Path, mesh: Mesh, radiance: NDArray, names: Sequence[str]) -> None:
-    """``.npz`` with radiance and the mesh.
-
-    ``radiance`` (V, 3) or (B, V, 3) float32, linear RGB; ``names`` (B,) of the lights; ``positions`` (V, 3) float64,
-    ``normals`` (V, 3) float32, ``faces`` (F, 3) int32.
-    """
-    with atomic_output(path) as file:
-        np.savez(
-            file,
-            radiance=np.asarray(radiance, dtype=np.float32),
-            names=np.array(names, dtype=np.str_),
-            positions=mesh.positions,
-            normals=mesh.normals.astype(np.float32),
-            faces=mesh.faces,
-        )
-
-
-def write_film_radiance(path: str | Path, film: Film, radiance: NDArray, names: Sequence[str]) -> None:
-    """``.npz`` of pixels.
-
-    ``radiance`` (H, W, 3) or (B, H, W, 3) float32, linear RGB; ``names`` (B,) of the lights; ``coverage`` (H, W), the
-    part of each pixel that the scene covers; ``noise`` (H, W) as of `Film`.
-    """
-    with atomic_output(path) as file:
-        np.savez(
-            file,
-            radiance=np.asarray(film.picture(radiance), dtype=np.float32),
-            names=np.array(names, dtype=np.str_),
-            coverage=film.picture(film.coverage),
-            noise=film.picture(film.noise),
-        )
 
 
 def write_coloured_mesh(

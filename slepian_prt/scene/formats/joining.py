@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+
+from slepian_prt.scene.pieces import connected_pieces
 
 
 def join_equal(*columns: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -71,12 +70,13 @@ def join_near(
     -------
     first, joined : as `join_equal`
     """
+    from scipy.spatial import cKDTree  # only here, so that relighting starts without SciPy
+
     count = len(positions)
     pairs = cKDTree(positions).query_pairs(tolerance, output_type="ndarray").astype(np.int64)
     if not len(pairs):
         return np.arange(count), np.arange(count)
-    graph = coo_array((np.ones(len(pairs), dtype=bool), pairs.T), shape=(count, count))
-    label = connected_components(graph, directed=False)[1].astype(np.int64)
+    label = connected_pieces(pairs, count).astype(np.int64)
     low, high = np.full((label.max() + 1, 3), np.inf), np.full((label.max() + 1, 3), -np.inf)
     near = np.zeros(count, dtype=bool)
     near[pairs] = True

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 # Edges at a thing are no longer than this part of its size, those of its own no longer than that; away from it they
 # grow with the distance.
@@ -70,6 +69,8 @@ class Things:
         octave = np.floor(np.log2(size)).astype(np.int64)
         steps = np.linspace(0.0, 1.0, _POINTS)
         inside = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+        from scipy.spatial import KDTree  # only here: scenes alone have things that stand near each other
+
         self._by_size: list[tuple[float, Any, float]] = []
         for value in np.unique(octave):
             some = octave == value

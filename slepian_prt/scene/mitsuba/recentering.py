@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from slepian_prt.scene.pieces import connected_pieces
 from slepian_prt.scene.receivers import Receivers
 
 # A scene is moved if the middle of its box is so many diagonals from the origin.
@@ -91,9 +90,8 @@ def coarse_receivers(positions: NDArray, receivers: Receivers) -> tuple[int, flo
     step : float
         Relative to the size of the piece.
     """
-    first, second = receivers.neighbours.T
-    links = coo_array((np.ones(first.size, dtype=np.int8), (first, second)), shape=(len(positions), len(positions)))
-    count, piece = connected_components(links, directed=False)
+    piece = connected_pieces(receivers.neighbours, len(positions))
+    count = int(piece.max(initial=-1)) + 1
     low, high, far = np.full((count, 3), np.inf), np.full((count, 3), -np.inf), np.zeros(count)
     np.minimum.at(low, piece, positions)
     np.maximum.at(high, piece, positions)

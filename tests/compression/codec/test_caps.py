@@ -7,15 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slepian_prt.compression.clustering import cluster_axes
-from slepian_prt.compression.codec import caps as codec
-from slepian_prt.compression.codec import entropy
-from slepian_prt.compression.codec.prediction import octave_parts
+from slepian_prt.compression.codec.cap_stream import CapBytes
+from slepian_prt.compression.codec.caps import decode_caps
+from slepian_prt.compression.codec.encoding import EncodedCap, encode_caps
+from slepian_prt.compression.codec.lanes import LaneWords
+from slepian_prt.compression.codec.rounding import _NEVER_ZERO
 from slepian_prt.compression.codec.surface import Surface
 from slepian_prt.compression.codec.tuning import tune
-from slepian_prt.compression.decoder import decode
+from slepian_prt.compression.decoder import decode, decode_all
 from slepian_prt.compression.stream import compress
+from slepian_prt.errors import UserError
 from slepian_prt.scene.mesh import Mesh, make_mesh
-from slepian_prt.scene.receivers import morton
+from slepian_prt.scene.receivers import Receivers, morton
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
 from tests.numerics import assert_exact
@@ -28,23 +31,29 @@ def cloud(n: int) -> Mesh:
     return Mesh("cloud", positions, np.zeros((n, 3)), np.zeros((0, 3), np.int32), np.ones((n, 3), np.float32))
 
 
-def along(mesh: Mesh):
-    return Surface(mesh.receivers).cap(np.arange(len(mesh.positions)))
+def along(mesh: Mesh, *members):
+    return Surface(mesh.receivers).rows(members or [np.arange(len(mesh.positions))])
 
 
-def assert_comes_back(x: np.ndarray, surface, step: float, *, axes: bool | None = False) -> codec.EncodedCap:
+def assert_come_back(parts, rows, step: float, *, axes: bool | None = False) -> list[EncodedCap]:
     """Encode and decode; the decoder must have just what the encoder thought."""
-    tuning = tune([(x, surface)], step**2 / 12.0 * x.size)
-    tuning = replace(tuning, step=step)
-    coded = codec.encode_cap(x, surface, tuning, principal_axes=axes, keep=True)
-    decoded = codec.decode_cap(coded.words, x.shape[1], surface, tuning)
-    assert_exact(decoded.multiples, coded.decoded.multiples, because="integers")
-    values = decoded.coefficients(step)
-    assert float(np.sum((values - x) ** 2)) == pytest.approx(coded.distortion, rel=1e-9, abs=1e-12 * step**2)
-    if not coded.principal_axes:
-        # Every value is within half a step, or within the dead zone, of the truth.
-        assert np.abs(values - x).max(initial=0.0) <= entropy.DEAD_ZONE * step * (1 + 1e-9)
+    size = sum(part.size for part in parts)
+    tuning = replace(tune(parts, rows, step**2 / 12.0 * size, principal_axes=axes), step=step)
+    coded = encode_caps(parts, rows, tuning, principal_axes=[axes] * len(parts), keep=True)
+    widths = [part.shape[1] for part in parts]
+    decoded = decode_caps([cap.content for cap in coded], widths, rows, tuning)
+    for x, mine, theirs in zip(parts, coded, decoded, strict=True):
+        assert_exact(theirs.multiples, mine.decoded.multiples, because="integers")
+        missed = theirs.coefficients(step) - x
+        assert float(np.sum(missed**2)) == pytest.approx(mine.distortion, rel=1e-9, abs=1e-12 * step**2)
+        if not mine.content.principal_axes:
+            # Within half a step, or within what may become zero whatever that saves.
+            assert np.abs(missed).max(initial=0.0) <= _NEVER_ZERO * step * (1 + 1e-9)
     return coded
+
+
+def assert_comes_back(x: np.ndarray, rows, step: float, *, axes: bool | None = False) -> EncodedCap:
+    return assert_come_back([x], rows, step, axes=axes)[0]
 
 
 @given(st.integers(1, 300), st.integers(1, 12), st.sampled_from([False, True, None]), st.integers(0, 2**32 - 1))
@@ -55,72 +64,78 @@ def test_any_coefficients_come_back(count, width, axes, seed):
     assert_comes_back(x, along(cloud(count)), 10.0 ** rng.uniform(-3, 1), axes=axes)
 
 
-@pytest.mark.parametrize("value", [0.0, 1.0, -7.0, 96.0, 97.0, -5000.0, 2.0**24, -(2.0**24)])
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=9), st.sampled_from([False, None]), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_caps_of_any_sizes_come_back_together(sizes, axes, seed):
+    """Empty ones and single vertices among them, and those of which nothing is kept."""
+    rng = np.random.default_rng(seed)
+    mesh = bumpy(3)
+    order = rng.permutation(len(mesh.positions))[: sum(sizes)]
+    members = [np.sort(part) for part in np.split(order, np.cumsum(sizes)[:-1])]
+    parts = [rng.laplace(size=(n, int(rng.integers(1, 9)))) * 10.0 ** rng.integers(-4, 3) for n in sizes]
+    assert_come_back(parts, along(mesh, *members), 0.05, axes=axes)
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, -7.0, 96.0, 131085.0, 131086.0, -5e6, 2.0**24, -(2.0**24)])
 def test_constants_and_escapes(value):
     assert_comes_back(np.full((50, 3), value), along(cloud(50)), 1.0)
 
 
-def test_nothing_costs_next_to_nothing():
+def test_largest_and_smallest_side_by_side(rng):
+    """Predictions far from what they are predicted for, as large as the format takes."""
+    x = rng.choice([-(2.0**24), 0.0, 1.0, 2.0**24], size=(400, 3))
+    assert_comes_back(x, along(cloud(400)), 1.0)
+
+
+def test_nothing_costs_nothing():
     coded = assert_comes_back(np.zeros((3000, 40)), along(cloud(3000)), 1.0)
-    assert coded.words.size <= 1
+    assert coded.content.size == 0
     assert coded.used == 0
 
 
 def test_close_to_the_entropy_where_nothing_can_be_predicted(rng):
-    """Independent numbers: within 6 % of the entropy of rounding them by themselves (models are fixed, not fitted)."""
+    """Independent numbers: within 7 % of the entropy of rounding them by themselves, at a distortion no larger.
+
+    Models are fixed, not fitted; probabilities are parts of 2¹².
+    """
     x = rng.laplace(scale=3.0, size=(20_000, 4))
-    coded = assert_comes_back(x, along(cloud(20_000)), 1.0)
+    rows = along(cloud(20_000))
+    tuning = tune([x], rows, x.size / 12.0)
+    coded = encode_caps([x], rows, tuning, principal_axes=[False])[0]
+    assert coded.distortion <= 1.05 * x.size / 12.0
     counts = np.bincount(np.rint(x).astype(int).ravel() + 200)
     p = counts[counts > 0] / x.size
-    assert coded.words.size * 32 <= 1.06 * -(p * np.log2(p)).sum() * x.size
+    assert coded.content.size * 8 <= 1.07 * -(p * np.log2(p)).sum() * x.size
 
 
 def test_prediction_pays_on_smooth_data():
     mesh = bumpy(5)
     smooth = np.sin(mesh.positions @ np.random.default_rng(0).normal(size=(3, 4)))
-    apart = Mesh(mesh.name, mesh.positions[::-1], mesh.normals, np.zeros((0, 3), np.int32), mesh.albedo)
-    with_neighbours, without = along(mesh), along(apart)
     shuffled = np.random.default_rng(1).permutation(len(smooth))
-    known = assert_comes_back(smooth[with_neighbours.order], with_neighbours, 0.01).words.size
-    unknown = assert_comes_back(smooth[shuffled], without, 0.01).words.size
-    assert known < 0.3 * unknown
+    known = assert_comes_back(smooth, along(mesh), 0.01).content.size
+    unknown = assert_comes_back(smooth[shuffled], along(mesh), 0.01).content.size
+    assert known < 0.33 * unknown
 
 
 def test_axes_pay_where_coefficients_go_together(rng):
     """Ten coefficients that are one number in truth."""
     mesh = bumpy(4)
-    surface = along(mesh)
     x = rng.normal(size=(len(mesh.positions), 1)) * rng.normal(size=10)
-    along_axes, plain = (assert_comes_back(x, surface, 0.05, axes=axes) for axes in (None, False))
-    assert along_axes.principal_axes
-    assert along_axes.words.size < 0.3 * plain.words.size
+    along_axes, plain = (assert_comes_back(x, along(mesh), 0.05, axes=axes) for axes in (None, False))
+    assert along_axes.content.principal_axes
+    assert along_axes.content.size < 0.3 * plain.content.size
     assert along_axes.distortion < 1.1 * plain.distortion
 
 
 @pytest.mark.parametrize("error", [0.5, 0.1, 0.01])
 def test_tuning_meets_the_distortion(error, rng):
     mesh = bumpy(4)
-    surface = along(mesh)
     x = rng.normal(size=(len(mesh.positions), 5)) * [3, 1, 0.3, 0.1, 0.01]
     wanted = error**2 * float((x**2).sum())
-    tuning = tune([(x, surface)], wanted)
-    got = codec.encode_cap(x, surface, tuning, principal_axes=False).distortion
-    # Bisection of an interval of an octave, six times: the step is within 1.1 %.
-    assert 0.96 * wanted <= got <= wanted
-
-
-def test_models_are_distributions_and_ordered():
-    table = entropy.probabilities()
-    np.testing.assert_allclose(table.sum(axis=1), 1.0, rtol=1e-14)
-    assert (table > 2.0**-24).all()
-    sizes = np.abs(np.arange(table.shape[1]) - entropy.LARGEST)
-    assert (np.diff(table @ sizes) > 0).all()
-    np.testing.assert_allclose(table[:, : entropy.LARGEST], table[:, 2 * entropy.LARGEST : entropy.LARGEST : -1])
-
-
-def test_roots_of_two_are_right():
-    np.testing.assert_allclose(octave_parts(-8, 17, 4), 2.0 ** (np.arange(-8, 9) / 4), rtol=3e-16)
-    np.testing.assert_allclose(octave_parts(-19, 40, 2), 2.0 ** (np.arange(-19, 21) / 2), rtol=3e-16)
+    tuning = tune([x], along(mesh), wanted)
+    got = encode_caps([x], along(mesh), tuning, principal_axes=[False])[0].distortion
+    # The search ends between 93 and 100 %; models fitted to the very values then move it by a few per cent.
+    assert 0.88 * wanted <= got <= 1.05 * wanted
 
 
 def test_morton_keeps_neighbours_near(rng):
@@ -134,15 +149,14 @@ def test_morton_keeps_neighbours_near(rng):
 
 @pytest.mark.parametrize("mesh", [bumpy(3), sphere(2), make_mesh(np.eye(3), [[0, 1, 2]]), cloud(1), cloud(2)])
 def test_every_vertex_is_told_from_earlier_ones(mesh):
-    surface = along(mesh)
-    assert_exact(np.sort(surface.order), np.arange(len(mesh.positions)), because="integers")
-    known = {0}
-    for level in surface.levels:
-        assert set(level.sources.nonzero()[1].tolist()) <= known
+    rows = along(mesh)
+    assert_exact(np.sort(rows.places), np.arange(len(mesh.positions)), because="integers")
+    assert [level.rows.start for level in rows.levels[1:]] == [level.rows.stop for level in rows.levels[:-1]]
+    assert rows.levels[-1].rows.stop == len(rows)
+    for level in rows.levels[1:]:
+        assert level.sources.shape[1] == level.rows.start
         assert (level.totals > 0).all()
         assert_exact(level.totals, level.sources.toarray().sum(axis=1), because="integers")
-        known |= set(level.rows.tolist())
-    assert known == set(range(len(mesh.positions)))
 
 
 def test_a_fan_of_very_many_triangles_takes_little_memory():
@@ -151,35 +165,43 @@ def test_a_fan_of_very_many_triangles_takes_little_memory():
     ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=1)
     i = np.arange(n)
     faces = np.stack([np.full(n, n), i, (i + 1) % n], axis=1)
-    surface = along(make_mesh(np.concatenate([ring, np.zeros((1, 3))]), faces))
-    assert sum(level.sources.nnz for level in surface.levels) <= 8 * n
+    rows = along(make_mesh(np.concatenate([ring, np.zeros((1, 3))]), faces))
+    assert sum(level.sources.nnz for level in rows.levels[1:]) <= 8 * n
+    assert max(np.diff(level.sources.indptr).max() for level in rows.levels[1:]) <= 64
 
 
-def test_decoding_needs_only_the_caps_own_words():
+def test_decoding_needs_only_the_caps_own_bytes():
     transfer = precompute(bumpy(4), bandlimit=5, samples=64)
     packed = compress(transfer, tolerance=0.1, clusters=5)
-    third = decode(packed, 3)
-    words = [np.zeros(0, np.uint32)] * 5
-    words[3] = packed.coded.words[3]
-    alone = replace(packed, coded=replace(packed.coded, words=tuple(words)))
+    third, everything = decode(packed, 3), decode_all(packed)
+    nothing = CapBytes(LaneWords(np.zeros(0, np.uint16), np.zeros(0, np.uint16)), np.zeros(0, np.uint8), 0, False)
+    contents = [nothing] * 5
+    contents[3] = packed.coded.caps[3]
+    alone = replace(packed, coded=replace(packed.coded, caps=tuple(contents)))
     assert_exact(decode(alone, 3).values, third.values, because="whole multiples of the step")
+    assert_exact(everything[3].values, third.values, because="whole multiples of the step")
 
 
-def test_words_of_another_cap_are_refused_or_differ():
-    """Streams hold no room for what does not belong: cut or changed words end in an error, not in a crash."""
+def test_what_was_cut_or_changed_is_refused_or_differs():
+    """Streams hold no room for what does not belong: such bytes end in one line, not in a crash."""
     transfer = precompute(bumpy(3), bandlimit=4, samples=64)
     packed = compress(transfer, tolerance=0.005, clusters=3)
-    surface = Surface(packed.mesh.receivers).cap(packed.clusters.members[0])
-    words = packed.coded.words[0]
+    content = packed.coded.caps[0]
     rng = np.random.default_rng(1)
-    for _ in range(50):
-        spoiled = words.copy()[: int(rng.integers(1, words.size + 1))]
-        spoiled[rng.integers(spoiled.size)] ^= np.uint32(1 << rng.integers(32))
+    refused = 0
+    for _ in range(60):
+        words = content.lanes.words.copy()
+        words[rng.integers(words.size)] ^= np.uint16(1 << rng.integers(16))
+        cut = int(rng.integers(1, words.size + 1)) if rng.random() < 0.3 else words.size
+        lanes = LaneWords(content.lanes.lengths, words[:cut])
+        spoiled = replace(packed.coded, caps=(replace(content, lanes=lanes), *packed.coded.caps[1:]))
         try:
-            decoded = codec.decode_cap(spoiled, packed.bases[0].count, surface, packed.coded.tuning)
-        except (ValueError, AssertionError):
-            continue
-        assert decoded.multiples.shape[0] == len(surface.order)
+            decoded = decode(replace(packed, coded=spoiled), 0)
+        except UserError:
+            refused += 1
+        else:
+            assert len(decoded.values) == packed.clusters.sizes[0]
+    assert refused >= 50  # only a state that ends where it should by chance goes through
 
 
 @pytest.mark.slow
@@ -203,13 +225,38 @@ def test_convex_mesh_needs_next_to_nothing():
     assert packed.bytes_per_vertex * len(packed.mesh.positions) < 3000  # frames and functions, no coefficients
 
 
-def test_order_of_caps_does_not_matter_for_the_same_mesh():
+def test_caps_are_the_same_alone_and_together():
     mesh = bumpy(4)
-    clusters = cluster_axes(mesh.normals, 6)
-    whole = Surface(mesh.receivers)
-    again = [whole.cap(clusters.members[c]) for c in (5, 0)]
-    for c, surface in zip((5, 0), again, strict=True):
-        fresh = Surface(mesh.receivers).cap(clusters.members[c])
-        assert_exact(fresh.order, surface.order, because="integers")
-        for a, b in zip(fresh.levels, surface.levels, strict=True):
-            assert_exact(a.sources.toarray(), b.sources.toarray(), because="integers")
+    members = cluster_axes(mesh.normals, 6).members
+    together = Surface(mesh.receivers).rows(members)
+    for c in (5, 0):
+        alone = Surface(mesh.receivers).rows([members[c]])
+        own = np.flatnonzero(together.caps == c)
+        start = sum(part.size for part in members[:c])
+        assert_exact(together.places[own] - start, alone.places, because="integers")
+        number = {row: i for i, row in enumerate(own)}
+        for level in together.levels[1:]:
+            for i in np.flatnonzero(np.isin(np.arange(level.rows.start, level.rows.stop), own)):
+                mine = level.sources[[i]].tocoo()
+                row = number[level.rows.start + int(i)]
+                its = next(one for one in alone.levels if one.rows.start <= row < one.rows.stop)
+                theirs = its.sources[[row - its.rows.start]].tocoo()
+                assert [number[b] for b in mine.coords[1]] == theirs.coords[1].tolist()
+                assert_exact(mine.data, theirs.data, because="integers")
+
+
+def test_vertices_numbered_otherwise_are_coded_alike(rng):
+    """At equal places the order of the file decides, not that of whoever encodes."""
+    mesh = bumpy(3)
+    twice = np.tile(np.arange(len(mesh.positions)), 2)
+    edges = mesh.receivers.neighbours
+    edges = np.concatenate([edges, edges + len(mesh.positions)])
+    shuffled = rng.permutation(len(twice))
+    where = np.argsort(shuffled)
+    mine = Receivers(mesh.positions[twice], mesh.normals[twice], mesh.albedo[twice], edges)
+    theirs = Receivers(*(part[twice][shuffled] for part in (mesh.positions, mesh.normals, mesh.albedo)), where[edges])
+    theirs = replace(theirs, order=where)
+    a, b = (Surface(receivers).rows([np.arange(len(twice))]) for receivers in (mine, theirs))
+    assert_exact(a.places, shuffled[b.places], because="integers")
+    for one, other in zip(a.levels[1:], b.levels[1:], strict=True):
+        assert_exact(one.sources.toarray(), other.sources.toarray(), because="integers")

@@ -16,7 +16,7 @@ from slepian_prt.relighting.drawing.pictures import Finish, Picture, display, li
 from slepian_prt.relighting.drawing.render import render_picture, save_picture
 from slepian_prt.relighting.files.coloured_mesh import write_ply
 from slepian_prt.relighting.files.mesh_outputs import write_coloured_mesh
-from slepian_prt.relighting.files.outputs import Wish, check_output, check_source
+from slepian_prt.relighting.files.wishes import Wish, check_output, check_source
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.series import Lights, relight_series
 from slepian_prt.renderer.variants import bitmap_module, mitsuba

@@ -14,10 +14,11 @@ from slepian_prt.lighting.environment import about_up, make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.drawing import scene_pictures
 from slepian_prt.relighting.drawing.camera import relit_camera
-from slepian_prt.relighting.drawing.drawings import Lit, Taking, open_drawing
+from slepian_prt.relighting.drawing.drawings import open_drawing
 from slepian_prt.relighting.drawing.render import render_picture
 from slepian_prt.relighting.drawing.scene_pictures import environment_of, scene_camera
 from slepian_prt.relighting.drawing.shots import SceneDrawing, VertexDrawing
+from slepian_prt.relighting.drawing.taking import Lit, Taking
 from slepian_prt.relighting.relight import relight
 from slepian_prt.relighting.source import locate_source
 from slepian_prt.renderer.variants import mitsuba

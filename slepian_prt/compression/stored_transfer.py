@@ -1,0 +1,169 @@
+"""Compressed transfer that is in a file: what its manifest tells at once, the rest decoded when it is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer, Outline
+from slepian_prt.compression.container import Contents
+from slepian_prt.compression.film_packing import check_film, unpack_film
+from slepian_prt.compression.lamp_packing import check_lamps, unpack_lamps
+from slepian_prt.compression.prediction import Expectation
+from slepian_prt.compression.stored_mesh.stored import StoredMesh, read_stored, sizes_of_parts, unpack_order
+from slepian_prt.compression.transfer_arrays import check_transfer, unpack_transfer
+from slepian_prt.compression.vertex_order import in_source_order
+from slepian_prt.errors import UserError
+from slepian_prt.scene.film import Film, FilmOutline
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.scene import Part
+from slepian_prt.scene.view import View
+from slepian_prt.transport.effects import Effect
+
+
+class _Late:
+    """A field that is decoded, with all others like it, when the first of them is asked for."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, transfer: StoredTransfer | None, owner: type) -> Any:
+        if transfer is None:
+            return self
+        vars(transfer).update(_decoded(transfer._contents))
+        return vars(transfer)[self._name]
+
+
+class StoredTransfer(CompressedTransfer):
+    """Compressed transfer of a file."""
+
+    _contents: Contents
+
+    mesh = _Late()
+    stored = _Late()
+    bases = _Late()
+    clusters = _Late()
+    coefficients = _Late()
+    coded = _Late()
+    mean = _Late()
+    lighting = _Late()
+    fixed = _Late()
+    film = _Late()
+
+
+def check_schema(contents: Contents) -> None:
+    """Raise UserError for a file whose arrays do not fit its manifest; nothing is decoded."""
+    manifest, arrays = contents.manifest, contents.arrays()
+    with _told(contents):
+        vertices = _outline(contents, tuple(Part(*part) for part in manifest["parts"])).vertices
+        if "film" in manifest:
+            check_film(manifest["film"], arrays)
+        check_lamps(manifest.get("fixed"), arrays, vertices)
+        check_transfer(manifest, arrays)
+
+
+def stored_transfer(contents: Contents) -> CompressedTransfer:
+    """The transfer of a file.
+
+    Raises
+    ------
+    UserError
+        Its manifest is not that of a transfer file.
+    """
+    transfer = object.__new__(StoredTransfer)
+    with _told(contents):
+        fields = _fields_of_manifest(contents.manifest)
+        vars(transfer).update(fields, _contents=contents, _outline=_outline(contents, fields["parts"]))
+    return transfer
+
+
+@contextmanager
+def _told(contents: Contents) -> Iterator[None]:
+    """What does not fit together, said in one line."""
+    try:
+        yield
+    except (KeyError, ValueError, IndexError, TypeError, AttributeError, AssertionError) as error:
+        raise UserError(f"{contents.path}: its contents do not fit together ({error!r}); precompute it again") from None
+
+
+def _fields_of_manifest(manifest: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "parts": tuple(Part(*part) for part in manifest["parts"]),
+        "bandlimit": int(manifest["bandlimit"]),
+        "channels": int(manifest["channels"]),
+        "basis": manifest["basis"],
+        "terms": float(manifest["terms"]),
+        "prior": manifest["prior"],
+        "expected": Expectation(np.array(manifest["expected_lost"]), np.array(manifest["expected_total"])),
+        "effects": tuple(Effect(**effect) for effect in manifest["effects"]),
+        "bounces": int(manifest["bounces"]),
+        "samples": int(manifest["samples"]),
+        "seed": int(manifest["seed"]),
+        "rays_traced": int(manifest["rays_traced"]),
+        "path_noise": manifest.get("noise"),
+        "seconds": dict(manifest["seconds"]),
+        "source": manifest["source"],
+        "parameters": dict(manifest.get("parameters", {})),
+        "view": None if manifest["view"] is None else View(**manifest["view"]),
+        "toward_view": bool(manifest["toward_view"]),
+        "verified": dict(manifest.get("verified", {})),
+        "verified_vertices": int(manifest.get("verified_vertices", 0)),
+        "verified_left_out": dict(manifest.get("verified_left_out", {})),
+    }
+
+
+def _outline(contents: Contents, parts: tuple[Part, ...]) -> Outline:
+    manifest, film = contents.manifest, None
+    if "film" in manifest:
+        entry = manifest["film"]
+        width, height = int(entry["width"]), int(entry["height"])
+        film = FilmOutline(entry["name"], width, height, np.array(entry["noise_power"], dtype=np.float64))
+        vertices, faces = width * height, 2 * (width - 1) * (height - 1)
+    else:
+        vertices = sum(part.sides * part.count for part in parts)
+        faces = sum(int(piece["sides"]) * int(piece["faces"]) for piece in manifest["mesh"]["pieces"])
+    return Outline(
+        name=manifest["name"],
+        notes=tuple(manifest["notes"]),
+        vertices=vertices,
+        faces=faces,
+        caps=int(manifest["caps"]),
+        coding=manifest["coding"],
+        prior_weights=contents.array("basis/weights") if "basis/weights" in manifest["arrays"] else None,
+        lamps=tuple(lamp["name"] for lamp in manifest.get("fixed", ())),
+        film=film,
+    )
+
+
+def _decoded(contents: Contents) -> dict[str, Any]:
+    """The fields that are not in the manifest."""
+    manifest, arrays = contents.manifest, contents.arrays()
+    with _told(contents):
+        film, mesh, stored = _film_and_mesh(manifest, arrays)
+        late = {
+            **unpack_transfer(manifest, arrays, mesh),
+            "mesh": mesh,
+            "stored": stored,
+            "film": film,
+            "lighting": arrays.get("environment/lighting"),
+            "fixed": unpack_lamps(manifest.get("fixed"), arrays, len(mesh.positions)),
+        }
+        if "mesh/order" not in arrays:
+            return late
+        fields = _fields_of_manifest(manifest)
+        ordered = in_source_order(CompressedTransfer(**fields, **late), unpack_order(arrays["mesh/order"]))
+        return {name: getattr(ordered, name) for name in late}
+
+
+def _film_and_mesh(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> tuple[Film | None, Mesh, StoredMesh | None]:
+    name, notes = manifest["name"], tuple(manifest["notes"])
+    if "film" in manifest:
+        return *unpack_film(manifest["film"], arrays, name, notes), None
+    stored = read_stored(manifest["mesh"], arrays, name, notes)
+    if sizes_of_parts(stored.entry) != [(part[2], part[3]) for part in manifest["parts"]]:
+        raise ValueError("parts of the mesh")
+    return None, stored.mesh, stored
