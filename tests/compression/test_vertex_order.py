@@ -73,7 +73,7 @@ def test_the_size_of_a_file_is_what_its_parts_add_up_to(transfer, tmp_path):
     assert (read.bytes_per_vertex, read.mesh_bytes_per_vertex, read.file_bytes_per_vertex) == before
     size = (tmp_path / "a.prt").stat().st_size
     assert read.file_bytes_per_vertex * 642 == pytest.approx(size, rel=1e-12)
-    _, arrays = container.read(tmp_path / "a.prt")
+    arrays = container.Contents(tmp_path / "a.prt").arrays()
     assert sum(before[:2]) * 642 < size - sum(arrays[name].nbytes for name in arrays if name.startswith("fixed")) / 2
 
 
@@ -85,7 +85,8 @@ def test_orders_that_are_none(spoil, transfer, tmp_path):
 
     packed = compress(transfer, tolerance=0.1, clusters=2)
     packed.save(tmp_path / "a.prt")
-    manifest, arrays = container.read(tmp_path / "a.prt")
+    contents = container.Contents(tmp_path / "a.prt")
+    manifest, arrays = contents.manifest, contents.arrays()
     content = {key: value for key, value in manifest.items() if key not in ("format", "version", "arrays")}
     container.write(tmp_path / "b.prt", content, {**arrays, **pack_order(spoil(packed.stored.order), packed.mesh)})
     with pytest.raises(UserError, match="do not fit together"):
