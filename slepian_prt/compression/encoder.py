@@ -184,7 +184,7 @@ def _encode_to_distortion(
         sample = sample_caps(projection.learned, min(_SAMPLE, _SAMPLE_COEFFICIENTS // width))
         part = blocks.size(sample) / blocks.size(range(count))
         coefficients = [blocks.coefficients(c) for c in sample]
-        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0])
+        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0], width)
     else:
         choices = warm_start.principal_axes or choices
         # Coded once more if it were a little too coarse; a little too fine is good enough.
