@@ -22,7 +22,7 @@ LARGEST_TURN = math.radians(0.25)
 # Between the ends of both, less what rounding to float32 may add.
 _LARGEST_CHORD = 2.0 * math.sin(0.5 * LARGEST_TURN) - 1e-6
 
-# Stored normals are points of an octahedron's faces in whole numbers: 12 bits each, by 0.05 degrees at most.
+# Stored normals are points of an octahedron's faces in whole numbers: 12 bits each, within 0.06 degrees.
 _OCTAHEDRON = 2047
 
 # How a vertex has its normal: from its own faces, from those of all vertices at its place, stored, or none.
