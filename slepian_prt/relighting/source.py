@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,9 @@ from slepian_prt.scene.left_out import GATHERED, NOT_SIMULATED
 from slepian_prt.scene.mitsuba.files import load_xml
 from slepian_prt.scene.mitsuba.parameters import scene_parameters
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail, read_surface_detail
-from slepian_prt.transport.transfer import Transfer
+
+if TYPE_CHECKING:
+    from slepian_prt.transport.transfer import Transfer
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,9 @@ from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.sensors import sensor
 from slepian_prt.scene.view import Aim, aimed_view
-from slepian_prt.transport.transfer import Transfer
+
+if TYPE_CHECKING:
+    from slepian_prt.transport.transfer import Transfer
 
 _SEED = 17
 

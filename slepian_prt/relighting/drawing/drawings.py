@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.environment import Environment
-from slepian_prt.lighting.lamps import scale_lamps
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.relighting.drawing.film_pictures import FilmDrawing, check_taking
-from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scene_camera
 from slepian_prt.relighting.drawing.shots import Drawing, SceneDrawing, VertexDrawing
 from slepian_prt.relighting.drawing.taking import Lit, Taking
 from slepian_prt.relighting.relight import white_radiance
 from slepian_prt.relighting.source import Source, locate_source
-from slepian_prt.transport.transfer import Transfer
+
+if TYPE_CHECKING:
+    from slepian_prt.lighting.environment import Environment
+    from slepian_prt.transport.transfer import Transfer
 
 
 def open_drawing(
@@ -75,8 +74,13 @@ def _scene_drawing(
     source: Source,
     report: Callable[[str], None],
 ) -> SceneDrawing:
+    # What gathers in scenes takes as long to import as to draw a mesh by itself.
+    from slepian_prt.compression.stream import compress
+    from slepian_prt.lighting.lamps import scale_lamps
+    from slepian_prt.relighting.drawing.scene_pictures import Light, own_environment, scene_camera
+
     assert source.origin is not None
-    if isinstance(packed, Transfer):  # the integrator draws what files hold; float32 loses nothing of it
+    if not isinstance(packed, CompressedTransfer):  # the integrator draws what files hold; float32 loses nothing of it
         packed = compress(packed, "none", clusters=1, coding="float32")
     scale_lamps(mi, source.scene, lit.fixed_lights)
     camera = scene_camera(mi, packed, source.scene, source.origin, taking.width, taking.aim)

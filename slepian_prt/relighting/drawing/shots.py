@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,9 @@ from slepian_prt.lighting.environment import Environment
 from slepian_prt.relighting.drawing.backdrop import draw_backdrop
 from slepian_prt.relighting.drawing.camera import Camera
 from slepian_prt.relighting.drawing.pictures import MAP, Finish, Picture, exposure
-from slepian_prt.relighting.drawing.scene_pictures import Light, SceneCamera
+
+if TYPE_CHECKING:
+    from slepian_prt.relighting.drawing.scene_pictures import Light, SceneCamera
 
 # Gathered pictures from which on it is worth saying how long they take.
 _MANY = 100

@@ -134,3 +134,24 @@ def test_masks_are_widened_by_their_reach():
     near = [[bool(np.any((abs(rows - r) <= 1) & (abs(columns - c) <= 1))) for c in range(7)] for r in range(5)]
     assert_exact(wide, near, "comparisons")
     assert_exact(widened(mask, 0), mask, "copied")
+
+
+def test_an_edge_before_a_parallel_plane_is_an_edge():
+    """The part of each pixel that a sheet covers of another, which is turned the same way, by its place alone."""
+    front, behind = SHEET * [0.537, 1.0, 1.0], SHEET * [3.0, 3.0, 1.0] - [0.0, 0.0, 0.4]
+    mesh = make_mesh(np.vstack([front, behind]), np.vstack([FACES, FACES + 4]))
+    eye, pixels, angle = 5.0, 32, 20.0
+    with open_scene(mesh) as scene:
+        aimed = camera.aim_camera(scene, Aim(((0.0, 0.0, eye), (0.0, 0.0, 0.0)), angle), pixels)
+        seen = camera.trace_camera(aimed, pixels)
+    picture = seen.picture(np.repeat([1.0, 0.0], 4)[:, None] * np.ones((8, 3)))
+    np.testing.assert_allclose(picture.alpha, 1.0, rtol=0.0, atol=1e-5)
+    middle = len(picture.radiance) // 2
+    row = picture.radiance[middle - 4 : middle + 4, :, 0].mean(axis=0)
+    edges = np.linspace(-1.0, 1.0, pixels + 1) * eye * np.tan(np.radians(0.5 * angle))
+    covered = np.clip((0.537 - edges[:-1]) / np.diff(edges), 0, 1) - np.clip(
+        (-0.537 - edges[:-1]) / np.diff(edges), 0, 1
+    )
+    assert np.count_nonzero((covered > 0.05) & (covered < 0.95)) == 2
+    # Of 36 rays six lie in strata that the edge goes through: a standard deviation of 0.034, of 8 rows 0.012.
+    np.testing.assert_allclose(row, covered, rtol=0.0, atol=4 * 0.012)
