@@ -48,7 +48,7 @@ def _mesh(path: Path) -> None:
     line("  Draco alone, 16 bits, positions and faces", f"{len(draco) / count:.2f} bytes per vertex")
     for exact in (False, True):
         stored = _store(mesh, exact)
-        order = _size({"mesh/order": pack_order(stored.order)}) / count
+        order = _size(dict(pack_order(stored.order, mesh))) / count
         seconds = median_seconds(lambda stored=stored: read_mesh(stored.entry, stored.arrays, "mesh", ()))
         line(
             f"  {'exact' if exact else 'mesh'} part of a file; map back to the source's order",

@@ -13,7 +13,8 @@ from slepian_prt.compression.bases import Candidate
 from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.codec import tuning as codec_tuning
-from slepian_prt.compression.codec.caps import Coded, DecodedCap, EncodedCap, Tuning, encode_caps
+from slepian_prt.compression.codec.caps import Coded, DecodedCap, Tuning
+from slepian_prt.compression.codec.encoding import EncodedCap, RoundedCaps, round_caps
 from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.linear_basis import LinearBasis
@@ -30,6 +31,9 @@ _FINEST_ROUNDING = 1e-3
 _SAMPLE = 15_000
 _SAMPLE_COEFFICIENTS = 1 << 21
 _ATTEMPTS = 3
+_MOST_ATTEMPTS = 40
+# Pieces that are kept rounded between attempts; more would take too much memory, and are encoded each time.
+_HELD_PIECES = 4
 # What is left of the error asked for need not be used up to the last.
 _CLOSE = 0.95
 _FINER = 0.985
@@ -180,41 +184,43 @@ def _encode_to_distortion(
         sample = sample_caps(projection.learned, min(_SAMPLE, _SAMPLE_COEFFICIENTS // width))
         part = blocks.size(sample) / blocks.size(range(count))
         coefficients = [blocks.coefficients(c) for c in sample]
-        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0])
+        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0], width)
     else:
         choices = warm_start.principal_axes or choices
         # Coded once more if it were a little too coarse; a little too fine is good enough.
         tuning = replace(warm_start.tuning, step=_FINER * warm_start.tuning.step)
     enough = _CLOSE if warm_start is None else _CLOSE * _FINER**2
-    best: tuple[Tuning, list[EncodedCap]] | None = None
-    attempts = 0
-    while True:
-        attempts += 1
-        encoded = encode_blocks(blocks, tuning, choices, keep)
-        choices = [cap.content.principal_axes for cap in encoded]  # a slightly different step does not change what pays
-        distortion = sum(cap.distortion for cap in encoded)
+    pieces = blocks.pieces()
+    held = len(pieces) <= _HELD_PIECES
+    rounded: list[RoundedCaps] = []
+    encoded: list[EncodedCap] = []
+    best: tuple[Tuning, list[RoundedCaps], list[EncodedCap]] | None = None
+    for attempt in range(1, _MOST_ATTEMPTS + 1):
+        if held and rounded:
+            rounded = [piece.with_tuning(tuning) for piece in rounded]
+        else:
+            found = (_round(blocks, piece, tuning, choices) for piece in pieces)
+            rounded, encoded = (list(found), []) if held else ([], [cap for one in found for cap in one.encode(keep)])
+            choices = [cap.content.principal_axes for cap in encoded] or choices
+        results: list[RoundedCaps | EncodedCap] = [*rounded, *encoded]
+        distortion = sum(one.distortion for one in results)
         if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
-            best = tuning, encoded
+            best = tuning, rounded, encoded
         close = enough * wanted <= distortion <= wanted or tuning.step <= finest or distortion == 0.0
         # If nothing is coded, a coarser step changes nothing.
-        close = close or (distortion <= wanted and not any(cap.used for cap in encoded))
-        if best is not None and (close or attempts >= _ATTEMPTS):
-            return best
+        close = close or (distortion <= wanted and not any(one.used for one in results))
+        if best is not None and (close or attempt >= _ATTEMPTS):
+            break
         # A little less than aimed for is enough.
         step = codec_tuning.next_step(tuning.step, distortion, 0.5 * (1.0 + _CLOSE) * wanted)
         tuning = replace(tuning, step=max(step, finest))
+    tuning, rounded, encoded = best or (tuning, rounded, encoded)
+    return tuning, encoded or [cap for piece in rounded for cap in piece.encode(keep)]
 
 
-def encode_blocks(
-    blocks: CapBlocks, tuning: Tuning, principal_axes: Sequence[bool | None], keep: bool = False
-) -> list[EncodedCap]:
-    """Code all caps, piece by piece; the choices are those of `encode_caps`."""
-    encoded: list[EncodedCap] = []
-    for piece in blocks.pieces():
-        coefficients = [blocks.coefficients(c) for c in piece]
-        choices = [principal_axes[c] for c in piece]
-        encoded += encode_caps(coefficients, blocks.rows(piece), tuning, principal_axes=choices, keep=keep)
-    return encoded
+def _round(blocks: CapBlocks, piece: range, tuning: Tuning, choices: Sequence[bool | None]) -> RoundedCaps:
+    coefficients = [blocks.coefficients(c) for c in piece]
+    return round_caps(coefficients, blocks.rows(piece), tuning, [choices[c] for c in piece])
 
 
 def principal_axes_asked(projection: Projection) -> bool | None:

@@ -20,7 +20,7 @@ def fingerprint(planned: PlannedScene, projection: Projection) -> str:
     digest = hashlib.sha256()
     scene, settings, plan, learned = planned.scene, planned.settings, planned.plan, projection.learned
     numbers = (version("slepian_prt"), scene.mi.variant(), settings.bandlimit, settings.seed, plan.nodes)
-    digest.update(repr(numbers).encode())
+    digest.update(repr((*numbers, planned.estimator().block_size, scene.is_robust)).encode())
     mesh = scene.mesh
     arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
     for shape in (*scene.shapes, *instanced_shapes(scene)):

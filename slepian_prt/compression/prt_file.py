@@ -70,7 +70,7 @@ def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple
         assert stored is not None
         manifest["mesh"], mesh = stored.entry, dict(stored.arrays)
         if keep_order:
-            mesh["mesh/order"] = pack_order(stored.order)
+            mesh |= pack_order(stored.order, packed.mesh)
     light: dict[str, NDArray] = {} if packed.lighting is None else {"environment/lighting": packed.lighting}
     if packed.fixed is not None:
         manifest["fixed"], lamps = pack_lamps(packed.fixed)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.blocks import CapBlocks
-from slepian_prt.compression.codec.caps import decode_caps, encode_caps
+from slepian_prt.compression.codec.caps import decode_caps
+from slepian_prt.compression.codec.encoding import encode_caps
 from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE
 from slepian_prt.compression.codec.tuning import tune
 from slepian_prt.compression.encoder import (

@@ -80,6 +80,7 @@ def _reordered_mesh(mesh: Mesh, chosen: NDArray, order: NDArray) -> Mesh:
         normals=mesh.normals[chosen],
         faces=number[mesh.faces],
         albedo=mesh.albedo[chosen],
+        source=None if mesh.source is None else np.stack([mesh.source[:, 0], number[mesh.source[:, 1]]], axis=1),
     )
     vars(moved)["receivers"] = replace(moved.receivers, order=order)
     return moved

@@ -49,6 +49,9 @@ class Mesh(Summarised):
         Whether the albedo is that of materials or colours, not a mere default.
     not_simulated : tuple of LeftOut
         What the materials have and transport here leaves out.
+    source : (n, 2) int64 or None
+        Pairs of a vertex of the file that the mesh was read from and one of the mesh at its place: some are split at
+        hard edges or seams, some joined. None: the mesh numbers them as the file does, or the file numbers none.
     """
 
     name: str
@@ -59,6 +62,7 @@ class Mesh(Summarised):
     notes: tuple[str, ...] = ()
     known_albedo: bool = False
     not_simulated: tuple[LeftOut, ...] = ()
+    source: NDArray[np.int64] | None = None
 
     @cached_property
     def receivers(self) -> Receivers:
@@ -121,6 +125,8 @@ class MeshDetails(NamedTuple):
         As of `Mesh`.
     crease_angle : float
         In degrees: edges sharper than this are hard where no normals are given.
+    source : (n, 2) or None
+        As of `Mesh`.
     """
 
     name: str
@@ -129,6 +135,7 @@ class MeshDetails(NamedTuple):
     known_albedo: bool | None = None
     not_simulated: tuple[LeftOut, ...] = ()
     crease_angle: float = 180.0
+    source: NDArray[np.int64] | None = None
 
 
 def complete_mesh(
@@ -144,12 +151,13 @@ def complete_mesh(
     if f.size == 0:
         raise UserError(f"{origin}: every face has zero area; export the mesh again")
     _remark_on_winding(f, notes)
-    given, groups = _fitting(normals, p, notes), details.groups
+    given, groups, source = _fitting(normals, p, notes), details.groups, details.source
     colour = np.broadcast_to(np.asarray(albedo, dtype=np.float32), (len(p), 3))
     if details.crease_angle < 180.0:
         known = None if given is None else are_normals(given)
         places = np.arange(len(p)) if groups is None else groups
         vertices, f, groups = split_at_creases(p, f, places, details.crease_angle, known)
+        source = _source_of_copies(source, vertices, len(p))
         p, colour, given = p[vertices], colour[vertices], None if given is None else given[vertices]
     unit = complete_normals(p, f, given, groups, notes)
     _remark_on_parts(p, unit, f, notes)
@@ -157,7 +165,19 @@ def complete_mesh(
         log.info("%s: %s", origin, note)
     colour = np.ascontiguousarray(colour)
     known_albedo = bool(np.any(colour != 1.0)) if details.known_albedo is None else details.known_albedo
-    return Mesh(details.name, p, unit, f.astype(np.int32), colour, tuple(notes), known_albedo, details.not_simulated)
+    more = (tuple(notes), known_albedo, details.not_simulated, source)
+    return Mesh(details.name, p, unit, f.astype(np.int32), colour, *more)
+
+
+def _source_of_copies(source: NDArray | None, vertices: NDArray[np.int64], count: int) -> NDArray[np.int64] | None:
+    """As ``source`` of `Mesh`, of copies of ``count`` vertices: ``vertices`` (W,) are what they are of, ascending."""
+    if len(vertices) == count:
+        return source
+    pairs = np.stack([np.arange(count)] * 2, axis=1) if source is None else source
+    begin = np.searchsorted(vertices, pairs[:, 1])
+    copies = np.searchsorted(vertices, pairs[:, 1], side="right") - begin
+    number = np.arange(copies.sum()) - np.repeat(np.cumsum(copies) - copies, copies)
+    return np.stack([np.repeat(pairs[:, 0], copies), np.repeat(begin, copies) + number], axis=1)
 
 
 def check_geometry(positions: NDArray, faces: NDArray, origin: str) -> None:

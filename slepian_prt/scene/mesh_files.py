@@ -115,8 +115,14 @@ def _join(file: MeshFile, path: Path, crease_angle: float) -> Mesh:
         albedo, left_out = np.concatenate(values), effects_left_out(parts, metallic, lost)
     if crease_angle < 180.0 and parts and all(part.normals is not None for part in parts):
         log.info("%s: all of it has normals in the file, so that `crease_angle` has no effect", path)
-    details = MeshDetails(path.stem, origin, _points(parts), known, left_out, crease_angle)
+    details = MeshDetails(path.stem, origin, _points(parts), known, left_out, crease_angle, _source(parts, starts))
     return complete_mesh(positions, faces, normals, albedo, details)
+
+
+def _source(parts: Sequence[MeshPart], starts: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """(n, 2) as of `Mesh`."""
+    pairs = [part.source + [0, start] for part, start in zip(parts, starts, strict=True) if part.source is not None]
+    return np.concatenate(pairs) if pairs and len(pairs) == len(parts) else None
 
 
 def _points(parts: Sequence[MeshPart]) -> NDArray[np.int64]:

@@ -28,7 +28,7 @@ from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.visibility import VisibilitySamples, VisibilityTracer
 
 # Rays in flight at a time: enough to fill the cores, little enough to stay in memory beside the mesh.
-_RAYS_PER_BLOCK = 1 << 20
+_RAYS_PER_BLOCK = 1 << 21
 
 
 def unoccluded_transfer(bandlimit: int, normals: NDArray) -> NDArray[np.float32]:

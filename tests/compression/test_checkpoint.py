@@ -342,3 +342,19 @@ def test_relighting_is_reconstruction_times_light_however_grouped(group_by, clas
     difference = transfer_operator(packed).apply(lights) - expected
     # What is left out when relighting is at most a hundredth of the error under white light; a fifth for chance.
     assert np.linalg.norm(difference) <= 1.2 * 0.01 * packed.predicted_error * np.linalg.norm(expected)
+
+
+def test_blocks_of_another_size_or_mode_are_not_taken(monkeypatch, cache):
+    """Work that was killed before an update that cuts other blocks, or that traces rays otherwise."""
+    monkeypatch.setattr(stores.Journal, "__iter__", lambda _: (_ for _ in ()).throw(Killed))
+    patches = (
+        ("slepian_prt.transport.direct._RAYS_PER_BLOCK", 1 << 16),
+        ("slepian_prt.scene.scene.too_many_slip", lambda _: True),
+    )
+    for number, patch in enumerate((None, *patches)):
+        with monkeypatch.context() as patched:
+            if patch:
+                patched.setattr(*patch)
+            with pytest.raises(Killed):
+                precompute_compressed(bumpy(3), CompressionSettings(tolerance=0.05, clusters=6), JOB)
+        assert len(list(cache.iterdir())) == number + 1

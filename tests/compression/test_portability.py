@@ -21,7 +21,7 @@ KERNELS = {"Prescott": "SSE3", "Haswell": "AVX2", "Zen": "AVX2", "SkylakeX": "AV
 CODE = """
 import hashlib, json, sys
 import threadpoolctl
-from slepian_prt.compression.codec import cap_stream, caps
+from slepian_prt.compression.codec import cap_stream, caps, encoding
 from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.prt_file import load
 
@@ -40,7 +40,7 @@ for cap in decoded:
     integers.update(cap.multiples.tobytes())
     axes.append(None if cap.axes is None else cap.axes.tolist())
 values = [cap.values(tuning.step) for cap in decoded]
-for again in caps.encode_caps(values, rows, tuning, principal_axes=[False] * len(values)):
+for again in encoding.encode_caps(values, rows, tuning, principal_axes=[False] * len(values)):
     contexts.update(again.content.lanes.words.tobytes() + again.content.bits.tobytes())
 kernels = {library.get("architecture") for library in threadpoolctl.threadpool_info()} - {None}
 print(json.dumps([integers.hexdigest(), contexts.hexdigest(), axes, sorted(kernels)]))

@@ -50,6 +50,25 @@ def test_apply_is_the_product_and_adjoint_its_transpose(channels, count, rng):
     np.testing.assert_allclose(back, expected, atol=1e-5 * np.abs(expected).max())
 
 
+def test_caps_of_many_tiles_and_functions_of_many_strips(rng):
+    sizes, ranks = (0, 1, 127, 128, 129, 700), (3, 0, 64, 65, 130, 5)  # around whole tiles and whole strips
+    members = np.split(rng.permutation(sum(sizes)), np.cumsum(sizes)[:-1])
+    parts = [
+        Factors(rng.normal(size=(n, r)).astype(np.float32), rng.normal(size=(r, 3, 25)).astype(np.float32))
+        for n, r in zip(sizes, ranks, strict=True)
+    ]
+    operator, lights = TransferOperator(parts, members), rng.normal(size=(3, 3, 25))
+    expected = np.empty((3, sum(sizes), 3))
+    for vertices, part in zip(members, parts, strict=True):
+        expected[:, vertices] = np.einsum("nr,rcm,bcm->bnc", part.coefficients, part.functions, lights)
+    allowed = 130 * 25 * np.finfo(np.float32).eps * np.abs(expected).max()
+    np.testing.assert_allclose(operator.apply(lights), expected, rtol=0, atol=allowed)
+    for light, radiance in zip(lights, expected, strict=True):
+        np.testing.assert_allclose(operator.apply(light[None])[0], radiance, rtol=0, atol=allowed)
+    gradient = rng.normal(size=expected.shape)
+    np.testing.assert_allclose(np.sum(operator.adjoint(gradient) * lights), np.sum(gradient * expected), rtol=1e-4)
+
+
 @pytest.mark.parametrize("coding", ["coded", "float32", "float16"])
 @pytest.mark.parametrize("basis", ["adapted", "pca", "sh"])
 def test_relit_as_reconstructed(basis, coding, shadowed, rng):

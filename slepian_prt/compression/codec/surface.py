@@ -221,6 +221,7 @@ class Surface:
         degree = np.diff(near.indptr) - 1
         beside = np.bincount(row, degree[col], minlength=count) - degree  # neighbours of neighbours
         around = _ring(near, near, np.flatnonzero(beside <= _MANY_SECOND)) + near
+        around.data[:] = 1
         known = curve.level[col] > curve.level[row]
         few = np.bincount(row[known], minlength=count) < _FEW
         coarse = curve.level >= _WIDE_DEPTH

@@ -5,12 +5,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.codec.axes import round_axes
-from slepian_prt.compression.codec.caps import CodingAttempt, Tuning, cheaper, round_frugally
+from slepian_prt.compression.codec.axes import RoundedAxes
+from slepian_prt.compression.codec.caps import Tuning
 from slepian_prt.compression.codec.contexts import (
     BASES,
     WIDTH_CONTEXTS,
@@ -22,6 +23,7 @@ from slepian_prt.compression.codec.contexts import (
     stored_changes,
     stored_shares,
 )
+from slepian_prt.compression.codec.encoding import CapCoefficients, FirstPass, RoundedCaps
 from slepian_prt.compression.codec.models import LADDER, TOKENS, frequencies, mean_magnitudes, plain_tokens, token_bits
 from slepian_prt.compression.codec.prediction import (
     GAIN_PARTS,
@@ -29,14 +31,11 @@ from slepian_prt.compression.codec.prediction import (
     LARGEST_MULTIPLE,
     PARTS,
     SHRINK_PARTS,
-    Differences,
     Predictor,
-    predict_and_round,
-    round_with_dead_zone,
     usual_steps,
 )
 from slepian_prt.compression.codec.surface import WEIGHT, CapRows
-from slepian_prt.compression.codec.telling import Telling, tell
+from slepian_prt.compression.codec.telling import Telling
 
 # A context's nominal model counts as this many differences seen.
 _NOMINAL_WEIGHT = 4.0
@@ -60,6 +59,7 @@ def tune(
     distortion: float,
     smallest_step: float = 0.0,
     principal_axes: bool | None = False,
+    components: int = 0,
 ) -> Tuning:
     """Step, prediction gains and contexts for a wanted distortion, from some of the caps.
 
@@ -75,49 +75,55 @@ def tune(
         So that multiples of the step stay within `LARGEST_MULTIPLE`.
     principal_axes : bool or None
         As of `encode_caps`, of all caps.
+    components : int
+        How many the widest cap has, if it is none of these.
     """
-    width = max(part.shape[1] for part in samples)
-    x = np.zeros((len(rows), width))
-    for part, rows_of_cap in zip(samples, rows.by_member, strict=True):
-        x[rows_of_cap, : part.shape[1]] = part
-    predictor = fit_predictor(x, rows)
+    caps = CapCoefficients(samples, rows)
+    nothing: list[RoundedAxes | None] = [None] * len(samples)
+    x = caps.along(nothing, PARTS)
+    predictor = fit_predictor(x, rows, components)
 
-    def attempt(step: float) -> tuple[Differences, Telling]:
-        scaled = x * (PARTS / step)
-        first = predict_and_round(scaled, rows, predictor, round_with_dead_zone).values
-        return round_frugally(scaled, rows, predictor, fit_contexts(first, tell(first, rows)))
+    def first_pass(step: float) -> FirstPass:
+        return FirstPass(caps, nothing, Tuning(step, predictor, nominal_contexts()))
 
-    def rounding(step: float) -> float:
-        return float(np.sum((attempt(step)[0].multiples * (step / PARTS) - x) ** 2))
+    def found(first: FirstPass) -> float:
+        return float(np.sum((first.differences.multiples - first.x) ** 2)) * (first.tuning.step / PARTS) ** 2
 
     count = sum(part.size for part in samples)
-    step = max(_search_step(rounding, distortion, x, count), smallest_step)
-    found, telling = attempt(step)
-    contexts = fit_contexts(found.values, telling)
-    return Tuning(step, predictor, _choice_of_axes(samples, rows, Tuning(step, predictor, contexts), principal_axes))
+    begin = max(math.sqrt(12.0 * distortion / max(count, 1)), smallest_step, 1e-30)
+    coarse = first_pass(begin)
+    # Rounding up less often loses more, by nearly the same factor at all steps.
+    frugal = RoundedCaps(_with_fitted_contexts(coarse)).distortion / max(found(coarse), 1e-300)
+    step = _search_step(lambda step: frugal * found(first_pass(step)), distortion, x, begin)
+    plain = _with_fitted_contexts(first_pass(max(step, smallest_step)))
+    chosen = RoundedCaps(_choice_of_axes(plain, principal_axes))
+    return replace(plain.tuning, contexts=fit_contexts(chosen.differences.values, chosen.telling))
 
 
-def _choice_of_axes(samples: Sequence[NDArray], rows: CapRows, tuning: Tuning, principal_axes: bool | None) -> Contexts:
-    """Contexts fitted to caps that are coded along their principal axes, or to those for which that pays."""
-    plain = CodingAttempt(samples, [None] * len(samples), rows, tuning)
-    axes = [round_axes(part, tuning.step) if len(part) else None for part in samples]
+def _with_fitted_contexts(first: FirstPass) -> FirstPass:
+    first.tuning = replace(first.tuning, contexts=fit_contexts(first.differences.values, first.telling))
+    return first
+
+
+def _choice_of_axes(plain: FirstPass, principal_axes: bool | None) -> FirstPass:
+    """Caps along their principal axes, or those for which that pays."""
+    axes = plain.caps.axes(plain.tuning)
     if principal_axes is False or all(own is None for own in axes):
-        return tuning.contexts
-    along = plain.along(axes)
+        return plain
     # By contexts of its own: those of the others have not seen such widths.
-    along = along.with_contexts(fit_contexts(along.differences.values, along.telling))
-    chosen = along if principal_axes else cheaper(along, plain)
-    return fit_contexts(chosen.differences.values, chosen.telling)
+    along = FirstPass(plain.caps, axes, plain.tuning)
+    contexts = fit_contexts(along.differences.values, along.telling)
+    return along if principal_axes else along.or_cheaper(plain, contexts)
 
 
-def _search_step(rounding: Callable[[float], float], distortion: float, x: NDArray, count: int) -> float:
+def _search_step(rounding: Callable[[float], float], distortion: float, x: NDArray, step: float) -> float:
     """The step whose rounding adds up to ``distortion``, nearly; what is coded with it is measured anyway."""
     everything = float(np.sum(x**2))
     largest = float(np.abs(x).max(initial=0.0))
     if largest == 0.0 or distortion >= everything:
         return max(4.0 * largest, 1e-30)  # nothing needs to be kept
     finest = largest / LARGEST_MULTIPLE
-    step = max(math.sqrt(12.0 * distortion / count), finest)
+    step = max(step, finest)
     for _ in range(_SEARCHES):
         found = rounding(step)
         if _ENOUGH * distortion <= found <= distortion:
@@ -131,8 +137,8 @@ def next_step(step: float, found: float, wanted: float) -> float:
     return step * min(max((wanted / found) ** 0.65, 0.25), 4.0) if found > 0.0 else 4.0 * step
 
 
-def fit_predictor(x: NDArray, rows: CapRows) -> Predictor:
-    """Least squares over coefficients (n, width) in the order of the rows, for each component."""
+def fit_predictor(x: NDArray, rows: CapRows, components: int = 0) -> Predictor:
+    """Least squares over coefficients (n, width) in the order of the rows, for each component; usual gains for more."""
     tried, width = len(_SHRINKAGES), x.shape[1]
     products, squares = np.zeros((2, tried, width)), np.zeros((2, tried, width))
     for level in rows.levels:
@@ -150,7 +156,9 @@ def fit_predictor(x: NDArray, rows: CapRows) -> Predictor:
     gains = np.clip(np.rint(gains * GAIN_PARTS), 0, LARGEST_GAIN) / GAIN_PARTS
     best = np.argmax(2.0 * gains * products - gains**2 * squares, axis=1)
     chosen = np.take_along_axis(gains, best[:, None], axis=1)[:, 0] * GAIN_PARTS
-    return Predictor(chosen.astype(np.uint8), np.array(_SHRINKAGES, dtype=np.uint8)[best], usual_steps())
+    more = [(0, 0), (0, max(0, components - width))]
+    gains = np.pad(chosen.astype(np.uint8), more, constant_values=_USUAL_GAIN)
+    return Predictor(gains, np.pad(np.array(_SHRINKAGES, dtype=np.uint8)[best], more), usual_steps())
 
 
 @functools.cache
@@ -161,6 +169,13 @@ def _nominal_models() -> NDArray[np.uint8]:
         .argmin(axis=1)
         .astype(np.uint8)
     )
+
+
+@functools.cache
+def nominal_contexts() -> Contexts:
+    """Those of a file of which nothing is known yet."""
+    tables = np.zeros((1, WIDTHS), dtype=np.uint8), np.zeros(WIDTH_CONTEXTS, dtype=np.uint8)
+    return Contexts(_nominal_models(), stored_changes(np.zeros(BASES), np.zeros(BASES)), *tables)
 
 
 def fit_contexts(values: NDArray[np.int32], telling: Telling) -> Contexts:

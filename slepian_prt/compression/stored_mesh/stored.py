@@ -87,7 +87,9 @@ def read_mesh(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, note
 def read_stored(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, notes: tuple[str, ...]) -> StoredMesh:
     """As `read_mesh`, with what is needed to write the same file again."""
     mesh = read_mesh(entry, arrays, name, notes)
-    own = {key: values for key, values in arrays.items() if key.startswith("mesh/") and key != "mesh/order"}
+    own = {key: values for key, values in arrays.items() if key.startswith("mesh/") and key not in _OF_SOURCE}
+    if "mesh/source" in arrays:
+        mesh = replace(mesh, source=_unpack_source(arrays["mesh/source"], len(mesh.positions)))
     return StoredMesh(mesh, np.arange(len(mesh.positions)), entry, own)
 
 
@@ -96,14 +98,34 @@ def sizes_of_parts(entry: dict[str, Any]) -> list[tuple[int, int]]:
     return [(one["vertices"], one["sides"]) for one in entry["pieces"]]
 
 
-def pack_order(order: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """The array of a file that says which vertex of the source each vertex (V,) is."""
-    return to_planes(np.diff(order, prepend=0)[:, None])
+def pack_order(order: NDArray[np.int64], mesh: Mesh) -> dict[str, NDArray[np.uint8]]:
+    """What a file has of its source's numbers.
+
+    Parameters
+    ----------
+    order : (V,)
+        Which vertex of the mesh, as it was made from the source, each vertex of the file is.
+    mesh : Mesh
+        As the file numbers its vertices.
+    """
+    arrays = {"mesh/order": to_planes(np.diff(order, prepend=0)[:, None])}
+    if mesh.source is not None:
+        pairs = mesh.source[np.lexsort(mesh.source.T)]
+        arrays["mesh/source"] = to_planes(np.diff(pairs, axis=0, prepend=0))
+    return arrays
 
 
 def unpack_order(planes: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """(V,) what `pack_order` packed; not checked."""
+    """(V,) the order that `pack_order` packed; not checked."""
     return np.cumsum(from_planes(planes, 1)[:, 0])
+
+
+def _unpack_source(planes: NDArray[np.uint8], count: int) -> NDArray[np.int64]:
+    pairs = np.cumsum(from_planes(planes, 2), axis=0)
+    numbers = np.unique(pairs[:, 1])
+    if len(numbers) != count or numbers[0] != 0 or numbers[-1] != count - 1 or pairs[:, 0].min() < 0:
+        raise ValueError("vertices of the source")
+    return pairs
 
 
 def _store(mesh: Mesh, parts: Sequence[Part], exact: bool) -> StoredMesh:
@@ -170,5 +192,8 @@ def _with_all_bits(
         near: NDArray[np.floating] = rounded.astype(dtype)
     return from_ordered(to_ordered(near) + away, dtype).astype(np.float64)
 
+
+# Arrays that are written on request.
+_OF_SOURCE = ("mesh/order", "mesh/source")
 
 _stored: WeakKeyDictionary[Receivers, dict[tuple[tuple[Part, ...], bool], StoredMesh]] = WeakKeyDictionary()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, store_mesh
 from slepian_prt.transport.transfer import Transfer
 
@@ -18,5 +20,5 @@ def as_stored(transfer: Transfer, *, exact: bool = False) -> Transfer:
     stored = stored_mesh_of(transfer, exact=exact)
     if stored is None:
         return transfer
-    axes = stored.mesh.normals if transfer.axes is transfer.mesh.normals else transfer.axes
+    axes = stored.mesh.normals if np.array_equal(transfer.axes, transfer.mesh.normals) else transfer.axes
     return replace(transfer, mesh=stored.mesh, axes=axes)

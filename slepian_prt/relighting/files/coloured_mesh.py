@@ -76,6 +76,39 @@ def write_ply(path: str | Path, mesh: Mesh, colours: NDArray[np.uint8], texture:
         file.write(faces.tobytes())
 
 
+def as_in_source(mesh: Mesh, colours: NDArray[np.uint8]) -> tuple[Mesh, NDArray[np.uint8]]:
+    """A mesh and its colours with the vertices of the file that it was read from, in their order.
+
+    Of vertices that were split, normal and colour are the mean; those that were left out are at the origin, and no face
+    uses them.
+    """
+    if mesh.source is None:
+        return mesh, colours
+    before, now = mesh.source.T
+    count = int(before.max()) + 1
+    copies = np.maximum(np.bincount(before, minlength=count), 1)[:, None]
+
+    def mean(values: NDArray) -> NDArray[np.float64]:
+        columns = [np.bincount(before, column[now].astype(np.float64), minlength=count) for column in values.T]
+        return np.stack(columns, axis=1) / copies
+
+    normals = mean(mesh.normals)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    positions = np.zeros((count, 3))
+    positions[before] = mesh.positions[now]
+    first = np.full(len(mesh.positions), count, dtype=np.int64)
+    np.minimum.at(first, now, before)
+    own = replace(
+        mesh,
+        positions=positions,
+        normals=np.where(length > 0.0, normals / np.maximum(length, 1e-300), 0.0),
+        faces=first[mesh.faces].astype(np.int32),
+        albedo=mean(mesh.albedo).astype(np.float32),
+        source=None,
+    )
+    return own, np.rint(mean(colours)).astype(np.uint8)
+
+
 def write_textured_ply(path: str | Path, painted: PaintedMesh, folder: str | Path | None = None) -> None:
     """Write a mesh, and beside it the texture that all of it has, as ``…_texture.png`` or ``.jpg``.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
-from slepian_prt.relighting.files.coloured_mesh import write_ply, write_textured_ply
+from slepian_prt.relighting.files.coloured_mesh import as_in_source, write_ply, write_textured_ply
 from slepian_prt.relighting.files.glb_file import write_glb
 from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh, textured_faces
 from slepian_prt.relighting.files.wishes import GLB, PLY
@@ -28,13 +28,13 @@ from slepian_prt.scene.scene import Part
 def write_coloured_mesh(
     path: str | Path, mesh: Mesh, radiance: NDArray, scale: float | None = None, factor: float = 1.0
 ) -> float:
-    """``.ply`` with tone-mapped sRGB colours per vertex.
+    """``.ply`` with tone-mapped sRGB colours per vertex, those of its source where the mesh knows which they are.
 
     Returns the exposure that they were scaled with: ``scale``, by default that of `exposure`, times ``factor``.
     """
     vertices = Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
     scale = (exposure(vertices) if scale is None else scale) * factor
-    write_ply(path, mesh, to_srgb(vertices, scale)[0])
+    write_ply(path, *as_in_source(mesh, to_srgb(vertices, scale)[0]))
     return scale
 
 

@@ -26,12 +26,15 @@ class Vertices:
     colors : (V, 3) float32 or None
     points : (V,) int64 or None
         Vertices of one number are one point of the surface and share a computed normal. None: each is its own.
+    source : (n, 2) int64 or None
+        As of `MeshPart`.
     """
 
     positions: NDArray[np.float64]
     normals: NDArray[np.float64] | None = None
     colors: NDArray[np.float32] | None = None
     points: NDArray[np.int64] | None = None
+    source: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,7 @@ def assemble(
             None if vertices.normals is None else vertices.normals[kept],
             None if vertices.colors is None else vertices.colors[kept],
             None if vertices.points is None else vertices.points[kept],
+            _source_of(vertices, kept),
         )
         name = material.name if material else path.stem
         parts.append(_part(name, own, renumbered.reshape(-1, 3), None if uv is None else uv[chosen], material))
@@ -130,11 +134,28 @@ def join_split(vertices: Vertices) -> tuple[Vertices, NDArray[np.int64]]:
     """
     first, joined = join_equal(vertices.positions)
     if vertices.colors is None:
-        return Vertices(vertices.positions[first]), joined
+        return Vertices(vertices.positions[first], source=source_of_joined(joined)), joined
     places, point = first, joined
     first, joined = join_equal(vertices.positions, vertices.colors)
     points = point[first] if len(first) > len(places) else None
-    return Vertices(vertices.positions[first], None, vertices.colors[first], points), joined
+    source = source_of_joined(joined)
+    return Vertices(vertices.positions[first], None, vertices.colors[first], points, source), joined
+
+
+def source_of_joined(joined: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """As ``source`` of `Vertices`, of vertices of the file that became ``joined`` (N,); None if each is its own."""
+    numbers = np.arange(len(joined))
+    return None if np.all(joined == numbers) else np.stack([numbers, joined], axis=1)
+
+
+def _source_of(vertices: Vertices, kept: NDArray[np.int64]) -> NDArray[np.int64]:
+    """As ``source`` of `Vertices`, of some of them."""
+    count = len(vertices.positions)
+    pairs = np.stack([np.arange(count)] * 2, axis=1) if vertices.source is None else vertices.source
+    number = np.full(count, -1)
+    number[kept] = np.arange(len(kept))
+    pairs = np.stack([pairs[:, 0], number[pairs[:, 1]]], axis=1)
+    return pairs[pairs[:, 1] >= 0]
 
 
 def _part(
@@ -152,6 +173,7 @@ def _part(
         normals=vertices.normals,
         colors=vertices.colors,
         points=vertices.points,
+        source=vertices.source,
         uv=uv if textured else None,
         material=material,
     )

@@ -131,7 +131,8 @@ def _split_at_normals(said: Statements) -> tuple[Vertices, NDArray[np.int64]]:
     normals = np.zeros((len(origin), 3))
     normals[vertex] = np.concatenate([said.normals[first], np.zeros((1, 3))])[normal[pairs]]
     colors = None if said.colors is None else said.colors[origin]
-    return Vertices(said.positions[origin], normals, colors), vertex[pair]
+    source = np.stack([origin, np.arange(len(origin))], axis=1) if further.any() else None
+    return Vertices(said.positions[origin], normals, colors, source=source), vertex[pair]
 
 
 def _map(polygons: Polygons, said: Statements, materials: list[Mapped], notes: list[str]) -> Polygons:

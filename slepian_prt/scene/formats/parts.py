@@ -84,6 +84,9 @@ class MeshPart:
         The same for ``material.metallic_texture``; None if they are those of ``uv``.
     material : Material or None
         None if the file says nothing of one.
+    source : (n, 2) int64 or None
+        Pairs of a vertex of the file and one of the part at its place; None: they have the same numbers, or the file
+        numbers none.
     """
 
     name: str
@@ -95,6 +98,7 @@ class MeshPart:
     uv: NDArray[np.float32] | None = None
     metallic_uv: NDArray[np.float32] | None = None
     material: Material | None = None
+    source: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slepian_prt.compression.clustering import cluster_axes
-from slepian_prt.compression.codec import caps as codec
+from slepian_prt.compression.codec.cap_stream import CapBytes
+from slepian_prt.compression.codec.caps import decode_caps
+from slepian_prt.compression.codec.encoding import EncodedCap, encode_caps
 from slepian_prt.compression.codec.lanes import LaneWords
 from slepian_prt.compression.codec.rounding import _NEVER_ZERO
 from slepian_prt.compression.codec.surface import Surface
@@ -33,13 +35,13 @@ def along(mesh: Mesh, *members):
     return Surface(mesh.receivers).rows(members or [np.arange(len(mesh.positions))])
 
 
-def assert_come_back(parts, rows, step: float, *, axes: bool | None = False) -> list[codec.EncodedCap]:
+def assert_come_back(parts, rows, step: float, *, axes: bool | None = False) -> list[EncodedCap]:
     """Encode and decode; the decoder must have just what the encoder thought."""
     size = sum(part.size for part in parts)
     tuning = replace(tune(parts, rows, step**2 / 12.0 * size, principal_axes=axes), step=step)
-    coded = codec.encode_caps(parts, rows, tuning, principal_axes=[axes] * len(parts), keep=True)
+    coded = encode_caps(parts, rows, tuning, principal_axes=[axes] * len(parts), keep=True)
     widths = [part.shape[1] for part in parts]
-    decoded = codec.decode_caps([cap.content for cap in coded], widths, rows, tuning)
+    decoded = decode_caps([cap.content for cap in coded], widths, rows, tuning)
     for x, mine, theirs in zip(parts, coded, decoded, strict=True):
         assert_exact(theirs.multiples, mine.decoded.multiples, because="integers")
         missed = theirs.coefficients(step) - x
@@ -50,7 +52,7 @@ def assert_come_back(parts, rows, step: float, *, axes: bool | None = False) -> 
     return coded
 
 
-def assert_comes_back(x: np.ndarray, rows, step: float, *, axes: bool | None = False) -> codec.EncodedCap:
+def assert_comes_back(x: np.ndarray, rows, step: float, *, axes: bool | None = False) -> EncodedCap:
     return assert_come_back([x], rows, step, axes=axes)[0]
 
 
@@ -99,7 +101,7 @@ def test_close_to_the_entropy_where_nothing_can_be_predicted(rng):
     x = rng.laplace(scale=3.0, size=(20_000, 4))
     rows = along(cloud(20_000))
     tuning = tune([x], rows, x.size / 12.0)
-    coded = codec.encode_caps([x], rows, tuning, principal_axes=[False])[0]
+    coded = encode_caps([x], rows, tuning, principal_axes=[False])[0]
     assert coded.distortion <= 1.05 * x.size / 12.0
     counts = np.bincount(np.rint(x).astype(int).ravel() + 200)
     p = counts[counts > 0] / x.size
@@ -131,7 +133,7 @@ def test_tuning_meets_the_distortion(error, rng):
     x = rng.normal(size=(len(mesh.positions), 5)) * [3, 1, 0.3, 0.1, 0.01]
     wanted = error**2 * float((x**2).sum())
     tuning = tune([x], along(mesh), wanted)
-    got = codec.encode_caps([x], along(mesh), tuning, principal_axes=[False])[0].distortion
+    got = encode_caps([x], along(mesh), tuning, principal_axes=[False])[0].distortion
     # The search ends between 93 and 100 %; models fitted to the very values then move it by a few per cent.
     assert 0.88 * wanted <= got <= 1.05 * wanted
 
@@ -172,7 +174,7 @@ def test_decoding_needs_only_the_caps_own_bytes():
     transfer = precompute(bumpy(4), bandlimit=5, samples=64)
     packed = compress(transfer, tolerance=0.1, clusters=5)
     third, everything = decode(packed, 3), decode_all(packed)
-    nothing = codec.CapBytes(LaneWords(np.zeros(0, np.uint16), np.zeros(0, np.uint16)), np.zeros(0, np.uint8), 0, False)
+    nothing = CapBytes(LaneWords(np.zeros(0, np.uint16), np.zeros(0, np.uint16)), np.zeros(0, np.uint8), 0, False)
     contents = [nothing] * 5
     contents[3] = packed.coded.caps[3]
     alone = replace(packed, coded=replace(packed.coded, caps=tuple(contents)))
