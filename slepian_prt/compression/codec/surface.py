@@ -10,13 +10,16 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from slepian_prt.scene.receivers import Receivers, morton
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Positions are rounded to this part of the bounding box, normals to this part of one.
 _PLACES = 1 << 18
@@ -180,7 +183,7 @@ class Surface:
         for begin, end in itertools.pairwise([*starts.tolist(), count]):
             rows = slice(begin, end)
             first, last = source.indptr[begin], source.indptr[end]
-            weights = csr_array(
+            weights = _sparse(
                 (source.data[first:last], source.indices[first:last], source.indptr[begin : end + 1] - first),
                 shape=(end - begin, begin),
             )
@@ -201,7 +204,7 @@ class Surface:
         row = np.concatenate([row, alone, alone[inside]])
         col = np.concatenate([col, curve.row_at[along - stride], curve.row_at[(along + stride)[inside]]])
         weights = self._weights(curve.receivers[row], curve.receivers[col])
-        source = csr_array((weights.astype(np.float64), (row, col)), shape=(count, count))
+        source = _sparse((weights.astype(np.float64), (row, col)), shape=(count, count))
         source.sort_indices()
         return _first_entries(source, _MOST), on_curve
 
@@ -216,7 +219,7 @@ class Surface:
         inside = curve.caps[a] == curve.caps[b]
         a, b = a[inside], b[inside]
         both = np.r_[a, b, np.arange(count)], np.r_[b, a, np.arange(count)]
-        near = csr_array((np.ones(both[0].size, dtype=np.int32), both), shape=(count, count))
+        near = _sparse((np.ones(both[0].size, dtype=np.int32), both), shape=(count, count))
         row, col = _entries(near)
         degree = np.diff(near.indptr) - 1
         beside = np.bincount(row, degree[col], minlength=count) - degree  # neighbours of neighbours
@@ -270,6 +273,13 @@ class _Curve:
     row_at: NDArray[np.int64]
 
 
+def _sparse(content: Any, shape: tuple[int, ...]) -> csr_array:
+    """A sparse matrix; SciPy is imported by who makes one, so that a file is told about without it."""
+    from scipy.sparse import csr_array
+
+    return csr_array(content, shape=shape)
+
+
 def _entries(matrix: csr_array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of what a matrix holds."""
     return np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr)), matrix.indices.astype(np.int64)
@@ -282,12 +292,12 @@ def _ring(
     if columns is not None:
         row, col = _entries(next_to)
         kept = columns[col]
-        next_to = csr_array((next_to.data[kept], (row[kept], col[kept])), shape=next_to.shape)
+        next_to = _sparse((next_to.data[kept], (row[kept], col[kept])), shape=next_to.shape)
     product = (near[rows] @ next_to).tocsr()
     held = np.zeros(near.shape[0], dtype=np.int64)
     held[rows] = np.diff(product.indptr)
     ends = np.append(0, np.cumsum(held))
-    return csr_array((np.ones(product.nnz, dtype=np.int32), product.indices, ends), shape=near.shape)
+    return _sparse((np.ones(product.nnz, dtype=np.int32), product.indices, ends), shape=near.shape)
 
 
 def _first_entries(matrix: csr_array, count: int) -> csr_array:
@@ -297,7 +307,7 @@ def _first_entries(matrix: csr_array, count: int) -> csr_array:
         return matrix
     kept = np.arange(matrix.nnz) - np.repeat(matrix.indptr[:-1], held) < count
     ends = np.append(0, np.cumsum(np.minimum(held, count)))
-    return csr_array((matrix.data[kept], matrix.indices[kept], ends), shape=matrix.shape)
+    return _sparse((matrix.data[kept], matrix.indices[kept], ends), shape=matrix.shape)
 
 
 _surfaces: WeakKeyDictionary[Receivers, Surface] = WeakKeyDictionary()
