@@ -100,13 +100,8 @@ def test_help_loads_no_numpy():
     assert not loaded_by("--help") & (HEAVY | {"numpy", "scipy"})
 
 
-<<<<<<< HEAD
-def test_what_is_told_of_a_file_needs_no_renderer(transfer_file):
-    assert not loaded_by("info", str(transfer_file / "bumpy.prt")) & HEAVY
-=======
 def test_what_is_told_of_a_file_needs_no_renderer_and_no_scipy(transfer_file):
     assert not loaded_by("info", str(transfer_file / "bumpy.prt")) & (HEAVY | {"scipy"})
->>>>>>> startup
 
 
 def test_numbers_are_relit_without_a_renderer(transfer_file):
