@@ -37,7 +37,8 @@ class FilmFilter:
         radius = float(reconstruction.radius())
         places = np.linspace(-radius, radius, 2 * _TABULATED, endpoint=False) + 0.5 * radius / _TABULATED
         return cls(
-            np.asarray(places, dtype=np.float64), np.array(reconstruction.eval(mi.Float(places)), dtype=np.float64)
+            np.asarray(places, dtype=np.float64),
+            np.array(reconstruction.eval(mi.Float(places.tolist())), dtype=np.float64),
         )
 
     @property

@@ -141,8 +141,8 @@ class CameraRays:
             block = slice(begin, begin + step)
             x = (pixels[block] % self.size[0] + 0.5).astype(np.float32)[:, None] + dx[block]
             y = (pixels[block] // self.size[0] + 0.5).astype(np.float32)[:, None] + dy[block]
-            met = self._meet(mi.Float(x.ravel()), mi.Float(y.ravel()))
             lane = dr.arange(mi.UInt32, x.size)
+            met = self._meet(_aligned(mi, x.ravel()), _aligned(mi, y.ravel()))
             first = lane - lane % dr.opaque(mi.UInt32, count)
             ends, _, _ = met.differ(mi, first, lane)
             yield block, met.seen(), np.asarray(np.array(ends).reshape(x.shape).any(axis=1))
@@ -154,6 +154,8 @@ class CameraRays:
         columns, rows = self.size
         place = mi.Point2f(x / dr.opaque(mi.Float, columns), y / dr.opaque(mi.Float, rows))
         ray, _ = self.view.sample_ray(0.0, 0.5, place, mi.Point2f(0.5, 0.5))
+        # By itself: Mitsuba writes the size of the film into the kernel, and that of tracing takes long to compile.
+        dr.eval(ray)
         hit = scene.geometry.ray_intersect_preliminary(ray)
         # A ray that slips through an edge of a closed mesh meets its back too: without this test, bright speckles.
         si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hit.is_valid())
@@ -250,6 +252,15 @@ class Corners:
 
         numbers = (self.first_middle, self.columns + 1, self.columns)
         return tuple(dr.opaque(self._mi.UInt32, number) for number in numbers)
+
+
+def _aligned(mi: Any, values: NDArray[np.float32]) -> Any:
+    """A Float that Dr.Jit has allocated: its kernels depend on alignment, which that of NumPy's arrays is by chance."""
+    import drjit as dr
+
+    owned = mi.Float(values) * dr.opaque(mi.Float, 1.0)
+    dr.eval(owned)
+    return owned
 
 
 def _gathered(mi: Any, vectors: Any, index: Any, active: Any) -> Any:
