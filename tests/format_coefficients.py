@@ -209,10 +209,9 @@ def read_multiples(numbers: Lanes, surface: Surface, order: list[int], classes: 
         read, models = [], []
         for place, activity, bits in zip(level, activities, bits_of_rows, strict=True):
             for k in range(min(width, 2**bits - 1)):
-                if classes[k]:
-                    octave = min(4, bits - (k + 1).bit_length())
-                    read.append((place.row, k))
-                    models.append(contexts.models[5 * (activity + 2 * classes[k]) + octave])
+                octave = min(4, bits - (k + 1).bit_length())
+                read.append((place.row, k))
+                models.append(contexts.models[5 * (activity + 2 * classes[k]) + octave])
         differences = dict(zip(read, numbers.values(models), strict=True))
         for place in level:
             own = [differences.get((place.row, k), 0) for k in range(width)]

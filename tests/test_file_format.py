@@ -130,18 +130,19 @@ def agreed_on(made: sp.CompressedTransfer, folder: Path) -> tuple[sp.CompressedT
     return assert_readers_agree(folder / "made.prt")
 
 
-def test_a_fan_of_very_many_triangles(rng, tmp_path, monkeypatch):
-    """The hub has more sources than count, not all of the coarsest levels among them; the rim has too many second
-    neighbours, so that the curve stands in."""
-    count = 3001
+@pytest.mark.parametrize("count", [250, 251, 3001])
+def test_fans_of_very_many_triangles(count, rng, tmp_path, monkeypatch):
+    """With 250 triangles, second neighbours on the rim are just few enough to count. The hub of many has more sources
+    than count, not all of the coarsest levels among them, and on its rim the curve stands in."""
     angle = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     rim = np.stack([np.cos(angle), np.sin(angle), 0.1 * np.sin(9.0 * angle)], axis=1)
     faces = [[0, 1 + i, 1 + (i + 1) % count] for i in range(count)]
     fan = sp.make_mesh([[0.03, 0.02, 0.2], *rim], faces)
     sources = counted(monkeypatch, format_coefficients, "sources_of")
     agreed_on(sp.compress(made_up(fan, rng), clusters=1, terms=3, coding="coded"), tmp_path)
-    assert sources[64] == 1
-    assert sources[0] > 100
+    if count > 1000:
+        assert sources[64] == 1
+        assert sources[0] > 100
 
 
 def test_magnitudes_of_any_size(rng, tmp_path, monkeypatch):
@@ -247,12 +248,12 @@ def test_caps_wider_than_those_of_the_sample(rng, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("far", "used"), [(100.0, True), (1000.0, False), (1e9, False)])
 def test_edges_of_any_length(far, used, rng, tmp_path):
-    """A plane and a vertex far away: so far that edges are a few units, or none. A face has one corner twice."""
+    """A plane and a vertex far away: so far that edges are a few units, or none. Some faces have one corner twice."""
     side = 24
     column, row = np.meshgrid(np.arange(side), np.arange(side))
     places = np.stack([column.ravel() / side, row.ravel() / side, np.zeros(side**2)], axis=1)
     first = (row * side + column)[:-1, :-1].ravel()
-    faces = [*np.stack([first, first + 1, first + side], axis=1), [5, 5, 6]]
+    faces = [*np.stack([first, first + 1, first + side], axis=1), *([i, i, i + 1] for i in range(200))]
     faces += [[0, 1, side**2]] if used else []
     positions = np.append(places, [[far, far, 0.0]], axis=0)
     normals = np.tile([0.0, 0.0, 1.0], (side**2 + 1, 1))

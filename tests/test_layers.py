@@ -76,7 +76,6 @@ HEAVY = {
     "rich.console",
     "PIL",
     "jinja2",
-    "constriction",
     "networkx",
     "pandas",
 }

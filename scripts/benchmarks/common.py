@@ -37,6 +37,8 @@ def line(what: str, value: str) -> None:
     print(f"{what:<78} {value}", flush=True)
 
 
-def in_child(code: str) -> str:
-    """Run code in a fresh process, so that its peak memory is its own."""
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+def in_child(code: str, folder: str = "") -> str:
+    """Run code in a fresh process, so that its peak memory is its own; with the package in a folder, if given."""
+    environment = {**os.environ, "PYTHONPATH": folder} if folder else None
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.strip()

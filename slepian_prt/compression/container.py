@@ -25,6 +25,9 @@ from slepian_prt.files import atomic_output, check_readable
 FORMAT = "slepian_prt transfer"
 VERSION = 3
 
+# What numbers and texts raise that are others than was meant.
+_MISFITS = (KeyError, ValueError, AttributeError, TypeError)
+
 # A fixed time stamp: the same content gives the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
@@ -126,7 +129,8 @@ class Contents:
         """What goes wrong in reading, said in one line."""
         try:
             yield
-        except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, AttributeError, TypeError) as error:
+        # RuntimeError of members that a flipped bit makes encrypted, NotImplementedError of versions to come.
+        except (zipfile.BadZipFile, zlib.error, RuntimeError, *_MISFITS, EOFError) as error:
             reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
             raise UserError(
                 f"{self.path}: is not a transfer file, or is cut short or damaged ({reason}); precompute it again"

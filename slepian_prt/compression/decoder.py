@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 # Coefficients that are decoded together: they take some 40 bytes each meanwhile.
-_PIECE = 1 << 22
+_PIECE = 1 << 23
 
 
 class CapCoefficients(NamedTuple):

@@ -176,19 +176,19 @@ def _encode_to_distortion(
     projection: Projection, blocks: CapBlocks, wanted: float, warm_start: WarmStart | None, keep: bool
 ) -> tuple[Tuning, list[EncodedCap]]:
     """Tune on some caps, code all, and again with another step until what rounding changed is what is wanted."""
-    count = len(projection.bases)
+    count, width = len(projection.bases), max(1, int(blocks.widths.max(initial=0)))
     finest = blocks.largest() / LARGEST_MULTIPLE
     choices: Sequence[bool | None] = [principal_axes_asked(projection)] * count
     if warm_start is None:
-        width = max(1, int(blocks.widths.max(initial=0)))
         sample = sample_caps(projection.learned, min(_SAMPLE, _SAMPLE_COEFFICIENTS // width))
         part = blocks.size(sample) / blocks.size(range(count))
         coefficients = [blocks.coefficients(c) for c in sample]
-        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0], width)
+        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0])
     else:
         choices = warm_start.principal_axes or choices
         # Coded once more if it were a little too coarse; a little too fine is good enough.
         tuning = replace(warm_start.tuning, step=_FINER * warm_start.tuning.step)
+    tuning = replace(tuning, predictor=tuning.predictor.of_width(width))
     enough = _CLOSE if warm_start is None else _CLOSE * _FINER**2
     pieces = blocks.pieces()
     held = len(pieces) <= _HELD_PIECES

@@ -14,6 +14,7 @@ from slepian_prt.compression.container import Contents
 from slepian_prt.compression.film_packing import check_film, unpack_film
 from slepian_prt.compression.lamp_packing import check_lamps, unpack_lamps
 from slepian_prt.compression.prediction import Expectation
+from slepian_prt.compression.stored_mesh.schema import check_mesh
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, read_stored, sizes_of_parts, unpack_order
 from slepian_prt.compression.transfer_arrays import check_transfer, unpack_transfer
 from slepian_prt.compression.vertex_order import in_source_order
@@ -62,6 +63,8 @@ def check_schema(contents: Contents) -> None:
         vertices = _outline(contents, tuple(Part(*part) for part in manifest["parts"])).vertices
         if "film" in manifest:
             check_film(manifest["film"], arrays)
+        else:
+            check_mesh(manifest["mesh"], arrays)
         check_lamps(manifest.get("fixed"), arrays, vertices)
         check_transfer(manifest, arrays)
 

@@ -146,12 +146,14 @@ def compress(
     else:
         grouping = group_transfer(settings, transfer)
     report(f"basis {basis}")
-    projected = project_transfer(transfer, _learn_from(seen, settings, grouping, report))
+    projected = project_transfer(transfer, learn_from(seen, settings, grouping, report))
     report("coding")
     return encode_transfer(transfer, projected, started)
 
 
-def _learn_from(transfer: Transfer, settings: CompressionSettings, grouping: Grouping, report: Report) -> LearnedBases:
+def learn_from(
+    transfer: Transfer, settings: CompressionSettings, grouping: Grouping, report: Report = _silent
+) -> LearnedBases:
     """Bases from a pilot of vectors that are there, or from all of them."""
     receivers, bandlimit, seed = transfer.mesh.receivers, transfer.bandlimit, transfer.seed
     if not settings.needs_all_vectors:

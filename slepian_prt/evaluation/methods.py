@@ -14,7 +14,9 @@ from slepian_prt.compression.bases import BASES, CurveStyle
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.grouping import Grouping
 from slepian_prt.compression.principal_components import iterate_clusters
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import USUAL_TERMS, compress
+from slepian_prt.compression.terms_sweep import compress_to_terms
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.baselines import D3DX_TERMS, d3dx_transfer, haar_transfer
 from slepian_prt.lighting.spectrum import measured_prior
@@ -154,18 +156,17 @@ def _linear(
     def run(work: Workload) -> Iterator[MethodRun]:
         bandlimit = work.transfer.bandlimit
         prior = measured_prior(work.lighting, bandlimit, "the maps") if prior_of_maps else None
+        settings = CompressionSettings(basis=basis, coding="float16", light_prior=prior, refine=refine)
+        packs: Iterator[CompressedTransfer]
+        if basis == "cpca":
+            packs = (
+                compress(work.transfer, **{**vars(settings), "terms": k, "clusters": work.grouping}) for k in work.terms
+            )
+        else:
+            packs = compress_to_terms(work.transfer, settings, work.grouping, work.terms)
         for k in work.terms:
             work.report(f"{name}, {k} terms")
-            packed = compress(
-                work.transfer,
-                basis,
-                terms=k,
-                coding="float16",
-                clusters=work.grouping,
-                light_prior=prior,
-                refine=refine,
-            )
-            yield _run_of(name, packed, wanted_terms=k)
+            yield _run_of(name, next(packs), wanted_terms=k)
         for tolerance in _TOLERANCES if coded else ():
             work.report(f"{name}, coded to {tolerance:g}")
             packed = compress(

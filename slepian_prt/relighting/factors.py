@@ -6,6 +6,7 @@ which is not in the file, lies among them but for a little, which takes a few fu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -85,7 +86,8 @@ class Joint:
     @classmethod
     def of(cls, functions: NDArray[np.float64], more: NDArray[np.float64]) -> Joint:
         """The joint of ``more`` to orthonormal ``functions``."""
-        rows, others = functions.reshape(len(functions), -1), more.reshape(len(more), -1)
+        size = math.prod(functions.shape[1:])  # there may be no functions
+        rows, others = functions.reshape(-1, size), more.reshape(-1, size)
         inner = others @ rows.T
         rest = others - inner @ rows
         values, vectors = np.linalg.eigh(rest @ rest.T)

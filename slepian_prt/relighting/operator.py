@@ -169,9 +169,9 @@ class TransferOperator:
                 lit[:, c : 3 * count : 3] = self._functions[:, c] @ lights[:, c].T
         rows = np.empty((len(self._places), width // _COLUMNS), dtype=np.complex128)
         for block, members, functions in zip(self._blocks, self._members, self._functions_of, strict=True):
-            here, first = lit[functions], 0
-            product = np.zeros((members.size, width), dtype=np.float32)
-            for strip in block:
+            here, first = lit[functions], block[0].shape[1]
+            product = block[0] @ here[:first]
+            for strip in block[1:]:
                 product += strip @ here[first : first + strip.shape[1]]
                 first += strip.shape[1]
             rows[members] = product.view(np.complex128)

@@ -33,6 +33,7 @@ def symbols(reader, counts, models):
 cap_stream.CapsReader.symbols = symbols
 
 packed, axes = load(sys.argv[1]), []
+integers.update(packed.mesh.positions.tobytes() + packed.mesh.normals.tobytes())  # IEEE operations, one by one
 tuning, rows = packed.coded.tuning, surface_of(packed.mesh.receivers).rows(packed.clusters.members)
 components = [basis.count * packed.channels for basis in packed.bases]
 decoded = caps.decode_caps(packed.coded.caps, components, rows, tuning)

@@ -85,14 +85,14 @@ class DecodedCap:
 
 
 def decode_caps(
-    contents: Sequence[CapBytes], components: Sequence[int], rows: CapRows, tuning: Tuning
+    contents: Sequence[CapBytes], component_counts: Sequence[int], rows: CapRows, tuning: Tuning
 ) -> list[DecodedCap]:
     """The inverse of `encoding.encode_caps`, exactly.
 
     Parameters
     ----------
     contents : sequence of CapBytes
-    components : sequence of int
+    component_counts : sequence of int
         K of each cap.
     rows : CapRows
         Of these caps.
@@ -104,24 +104,24 @@ def decode_caps(
         The bytes are not those of such caps.
     """
     widths = np.array([content.width for content in contents], dtype=np.int64)
-    if np.any(widths > np.asarray(components, dtype=np.int64)):
+    if np.any(widths > np.asarray(component_counts, dtype=np.int64)):
         raise ValueError("width of a cap")
     reader = CapsReader(contents, tuning.contexts.table)
     classes = _read_classes(reader, widths)
     counts = np.where([content.principal_axes for content in contents], widths, 0)
-    axes = read_axes(reader, counts, components)
+    axes = read_axes(reader, counts, component_counts)
     levels = LevelReader(reader, rows, classes, tuning.contexts)
     width = int(widths.max(initial=0))
     multiples, sizes = np.zeros((len(rows), width)), np.zeros(len(rows))
     for level in rows.levels:
-        values = levels.read(level, level_activity(level, sizes))
-        sizes[level.rows] = np.abs(values).sum(axis=1)
-        values *= float(tuning.predictor.steps[level.depth])
-        values += tuning.predictor.predict(level, multiples)
-        multiples[level.rows] = values
+        told, components, values = levels.read(level, level_activity(level, sizes))
+        sizes[level.rows] = np.bincount(told, np.abs(values), minlength=level.rows.stop - level.rows.start)
+        decoded = multiples[level.rows]
+        decoded[:] = tuning.predictor.predict(level, multiples)
+        decoded[told, components] += float(tuning.predictor.steps[level.depth]) * values
     reader.check_end()
     found = []
-    for content, count, rows_of_cap, own in zip(contents, components, rows.by_member, axes, strict=True):
+    for content, count, rows_of_cap, own in zip(contents, component_counts, rows.by_member, axes, strict=True):
         full = np.zeros((rows_of_cap.size, content.width if content.principal_axes else count), dtype=np.int32)
         full[:, : content.width] = multiples[rows_of_cap, : content.width]
         found.append(DecodedCap(full, own.rows if own is not None else _no_axes(content, count)))

@@ -122,9 +122,9 @@ def last_nonzero(values: NDArray) -> NDArray[np.int64]:
     return np.where(filled.any(axis=1), width - np.argmax(filled[:, ::-1], axis=1), 0)
 
 
-def told(widths: NDArray[np.int64], classes: NDArray, caps: NDArray) -> NDArray[np.bool_]:
-    """(n, width) which components are told of, from the widths of rows and the classes of their caps."""
-    return (_REACHES[: classes.shape[1]] <= widths[:, None]) & (classes > 0)[caps]
+def told_counts(widths: NDArray[np.int64], component_counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(n,) how many components are told of, from the widths of rows and how many their caps have."""
+    return np.minimum((1 << widths) - 1, component_counts)
 
 
 def octaves_left(widths: NDArray[np.int64], components: NDArray[np.int64]) -> NDArray[np.int64]:

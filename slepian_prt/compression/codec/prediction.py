@@ -9,7 +9,7 @@ are so small that all sums and products are exact and the quotient rounds down c
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,12 @@ class Predictor:
             alone = np.flatnonzero(level.on_curve)
             predicted[alone] = self._mean(level.sources[alone] @ known, level.totals[alone], 1)
         return predicted
+
+    def of_width(self, width: int) -> Predictor:
+        """For so many components: those that no sample had are foretold as the last that one had."""
+        wider = ((0, 0), (0, max(0, width - self.gains.shape[1])))
+        gains, shrinkage = (np.pad(part, wider, "edge")[:, :width] for part in (self.gains, self.shrinkage))
+        return replace(self, gains=gains, shrinkage=shrinkage)
 
     def _mean(self, sums: NDArray[np.float64], totals: NDArray[np.float64], kind: int) -> NDArray[np.float64]:
         """Sums over shrunk totals, times gains, rounded half up."""

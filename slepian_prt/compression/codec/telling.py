@@ -17,7 +17,7 @@ from slepian_prt.compression.codec.contexts import (
     magnitude_bases,
     octaves_left,
     steadied,
-    told,
+    told_counts,
     usual_sizes,
     width_contexts,
     widths_of,
@@ -68,7 +68,9 @@ class Telling:
     @property
     def places(self) -> Places:
         """What is told of all rows."""
-        return places_of(self.widths, self.activities, self.classes, self.rows.caps)
+        caps = self.rows.caps
+        told = told_counts(self.widths, self.component_counts[caps])
+        return places_of(told, self.widths, self.activities, self.classes, caps)
 
     def width_contexts(self, contexts: Contexts) -> NDArray[np.int64]:
         """(n,) contexts of the widths."""
@@ -126,29 +128,36 @@ class LevelReader:
         self._reader, self._caps, self._classes, self._contexts = reader, rows.caps, classes, contexts
         self._usual = usual_sizes(classes)[rows.caps]
         self._expected = contexts.expected_widths(classes)
-        self._speaks = last_nonzero(classes) > 0
+        self._component_counts = last_nonzero(classes)
 
-    def read(self, level: Level, around: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(rows, width) differences of a level whose rows' neighbours differed by ``around``."""
+    def read(
+        self, level: Level, around: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Rows, components and differences that are not zero; the neighbours of the rows differed by ``around``."""
         caps = self._caps[level.rows]
         activities = activities_of(around, self._usual[level.rows])
-        some = np.flatnonzero(self._speaks[caps])
+        speaks = self._component_counts > 0
+        some = np.flatnonzero(speaks[caps])
         models = self._contexts.of_widths(width_contexts(self._expected, caps[some], activities[some]))
         widths = np.zeros(caps.size, dtype=np.int64)
-        widths[some] = self._reader.symbols(np.where(self._speaks, level.counts, 0), models)
-        places = places_of(widths, activities, self._classes, caps)
-        counts = np.bincount(caps[places.rows], minlength=len(self._classes))
-        values = np.zeros((caps.size, self._classes.shape[1]))
-        values[places.rows, places.components] = self._reader.values(
-            counts, self._contexts.of_magnitudes(places.bases, places.octaves)
-        )
-        return values
+        widths[some] = self._reader.symbols(np.where(speaks, level.counts, 0), models)
+        told = told_counts(widths, self._component_counts[caps])
+        places = places_of(told, widths, activities, self._classes, caps)
+        counts = np.bincount(caps, told, minlength=len(self._classes)).astype(np.int64)
+        values = self._reader.values(counts, self._contexts.of_magnitudes(places.bases, places.octaves))
+        changed = np.flatnonzero(values)
+        return places.rows[changed], places.components[changed], values[changed]
 
 
 def places_of(
-    widths: NDArray[np.int64], activities: NDArray[np.int64], classes: NDArray[np.uint8], caps: NDArray[np.int64]
+    told: NDArray[np.int64],
+    widths: NDArray[np.int64],
+    activities: NDArray[np.int64],
+    classes: NDArray[np.uint8],
+    caps: NDArray[np.int64],
 ) -> Places:
-    """What is told of rows of these widths, activities and caps."""
-    rows, components = np.nonzero(told(widths, classes, caps))
-    bases = magnitude_bases(activities[rows], classes[caps[rows], components])
+    """What is told of rows: so many components of each, from their widths, activities and caps."""
+    rows = np.repeat(np.arange(told.size), told)
+    components = np.arange(rows.size) - np.repeat(np.cumsum(told) - told, told)
+    bases = magnitude_bases(activities[rows], classes.ravel()[(caps * classes.shape[1])[rows] + components])
     return Places(rows, components, bases, octaves_left(widths[rows], components))

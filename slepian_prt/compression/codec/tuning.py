@@ -59,7 +59,6 @@ def tune(
     distortion: float,
     smallest_step: float = 0.0,
     principal_axes: bool | None = False,
-    components: int = 0,
 ) -> Tuning:
     """Step, prediction gains and contexts for a wanted distortion, from some of the caps.
 
@@ -75,13 +74,11 @@ def tune(
         So that multiples of the step stay within `LARGEST_MULTIPLE`.
     principal_axes : bool or None
         As of `encode_caps`, of all caps.
-    components : int
-        How many the widest cap has, if it is none of these.
     """
     caps = CapCoefficients(samples, rows)
     nothing: list[RoundedAxes | None] = [None] * len(samples)
     x = caps.along(nothing, PARTS)
-    predictor = fit_predictor(x, rows, components)
+    predictor = fit_predictor(x, rows)
 
     def first_pass(step: float) -> FirstPass:
         return FirstPass(caps, nothing, Tuning(step, predictor, nominal_contexts()))
@@ -137,8 +134,8 @@ def next_step(step: float, found: float, wanted: float) -> float:
     return step * min(max((wanted / found) ** 0.65, 0.25), 4.0) if found > 0.0 else 4.0 * step
 
 
-def fit_predictor(x: NDArray, rows: CapRows, components: int = 0) -> Predictor:
-    """Least squares over coefficients (n, width) in the order of the rows, for each component; usual gains for more."""
+def fit_predictor(x: NDArray, rows: CapRows) -> Predictor:
+    """Least squares over coefficients (n, width) in the order of the rows, for each component."""
     tried, width = len(_SHRINKAGES), x.shape[1]
     products, squares = np.zeros((2, tried, width)), np.zeros((2, tried, width))
     for level in rows.levels:
@@ -156,9 +153,7 @@ def fit_predictor(x: NDArray, rows: CapRows, components: int = 0) -> Predictor:
     gains = np.clip(np.rint(gains * GAIN_PARTS), 0, LARGEST_GAIN) / GAIN_PARTS
     best = np.argmax(2.0 * gains * products - gains**2 * squares, axis=1)
     chosen = np.take_along_axis(gains, best[:, None], axis=1)[:, 0] * GAIN_PARTS
-    more = [(0, 0), (0, max(0, components - width))]
-    gains = np.pad(chosen.astype(np.uint8), more, constant_values=_USUAL_GAIN)
-    return Predictor(gains, np.pad(np.array(_SHRINKAGES, dtype=np.uint8)[best], more), usual_steps())
+    return Predictor(chosen.astype(np.uint8), np.array(_SHRINKAGES, dtype=np.uint8)[best], usual_steps())
 
 
 @functools.cache

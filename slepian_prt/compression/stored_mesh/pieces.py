@@ -13,6 +13,7 @@ from slepian_prt.compression.stored_mesh import connectivity
 from slepian_prt.compression.stored_mesh.connectivity import Coded
 from slepian_prt.compression.stored_mesh.lattice import Lattice, find_lattices
 from slepian_prt.compression.stored_mesh.planes import from_planes, to_planes
+from slepian_prt.compression.stored_mesh.schema import count_pieces
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 
@@ -120,16 +121,16 @@ def write_pieces(pieces: Sequence[Piece]) -> tuple[dict[str, Any], dict[str, NDA
 def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece]:
     """What `write_pieces` wrote, as the file numbers the vertices.
 
+    Parameters
+    ----------
+    entry, arrays
+        That `check_mesh` finds to fit.
+
     Raises
     ------
     ValueError, KeyError, TypeError
     """
-    about = entry["pieces"]
-    counts = np.array([[one[name] for name in _COUNTS] for one in about], dtype=np.int64).reshape(len(about), -1)
-    if not len(about) or counts.min() < 0 or counts[:, 0].min() < 1 or not np.all(np.isin(counts[:, 2], (1, 2))):
-        raise ValueError("pieces of the mesh")
-    if arrays["mesh/draco"].dtype != np.uint8:
-        raise ValueError("bytes of Draco")
+    about, counts = entry["pieces"], count_pieces(entry)
     data = _pieces(arrays["mesh/draco"], counts[:, 3])
     loose = _pieces(_loose(arrays), counts[:, 4])
     loose_faces = _pieces(_loose_faces(arrays), counts[:, 5])
@@ -138,8 +139,6 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
     for one, (count, faces, sides, *_), octets, *lists in zip(
         about, counts.tolist(), data, loose, loose_faces, strict=True
     ):
-        if not _are_landmarks(one["landmarks"], count):
-            raise ValueError("landmarks of the mesh")
         places, sides_of = connectivity.decode(Coded(_NO_ORDER, octets.tobytes(), *lists), count)
         if len(sides_of) != faces:
             raise ValueError("number of faces")
@@ -152,7 +151,6 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
 # How many vertices of a number and of an eighth of that are known by number.
 _LANDMARKS, _FEWER = 6, 8
 
-_COUNTS = ("vertices", "faces", "sides", "draco", "loose", "loose_faces")
 _NO_ORDER = np.zeros(0, dtype=np.int64)
 
 
@@ -186,11 +184,6 @@ def find_landmarks(places: NDArray[np.int64], order: NDArray[np.int64]) -> list[
     return [np.argsort(order)[before].tolist(), before]
 
 
-def _are_landmarks(pairs: Any, count: int) -> bool:
-    numbers = np.array(pairs, dtype=np.int64)
-    return numbers.ndim == 2 and len(numbers) == 2 and bool(np.all((numbers >= 0) & (numbers < count)))
-
-
 def _front(mesh: Mesh, part: Part, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Those faces of a part that are on its front."""
     if part.sides == 1:
@@ -213,8 +206,6 @@ def _sorted(faces: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _pieces(array: NDArray, counts: NDArray[np.int64]) -> list[NDArray]:
-    if len(array) != counts.sum():
-        raise ValueError("sizes of the pieces of the mesh")
     return np.split(array, np.cumsum(counts)[:-1])
 
 

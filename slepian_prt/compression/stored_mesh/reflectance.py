@@ -41,7 +41,7 @@ def pack_albedo(
 def unpack_albedo(
     entry: dict[str, Any], arrays: dict[str, NDArray], blocks: Sequence[slice], count: int
 ) -> NDArray[np.float32]:
-    """(V, 3) what `pack_albedo` packed.
+    """(V, 3) what `pack_albedo` packed, arrays that `check_mesh` finds to fit.
 
     Raises
     ------
@@ -56,11 +56,7 @@ def unpack_albedo(
             albedo[rows] = color
         return albedo
     packed = arrays["mesh/albedo"]
-    if len(packed) not in (1, 3) or packed.shape[-1] != count:
-        raise ValueError("number of albedos")
     if entry["kind"] == "table":
-        if packed.dtype != np.uint8:
-            raise ValueError("indices of albedos")
         table = np.array(entry["values"], dtype=np.float32)
         albedo[:] = table[np.cumsum(packed, axis=1, dtype=np.uint8)].T
         return albedo

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slepian_prt.compression.stored_mesh.pieces import Piece, cut, read_pieces, write_pieces
 from slepian_prt.compression.stored_mesh.planes import from_ordered, from_planes, to_ordered, to_planes
 from slepian_prt.compression.stored_mesh.reflectance import pack_albedo, unpack_albedo
+from slepian_prt.compression.stored_mesh.schema import check_mesh
 from slepian_prt.compression.stored_mesh.surface_normals import Surface, pack_normals, unpack_normals
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import Receivers
@@ -74,6 +75,7 @@ def read_mesh(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, note
     ValueError, KeyError, IndexError, TypeError
         What does not fit together.
     """
+    check_mesh(entry, arrays)
     pieces = read_pieces(entry, arrays)
     positions, exact = _positions(pieces), bool(entry["exact"])
     if exact:
@@ -186,8 +188,6 @@ def _with_all_bits(
 ) -> NDArray[np.float64]:
     dtype: np.dtype[Any] = np.dtype({"float32": "f4", "float64": "f8"}[entry["positions"]])
     away = from_planes(arrays["mesh/positions"], 3)
-    if len(away) != len(rounded):
-        raise ValueError("number of positions")
     with np.errstate(over="ignore"):
         near: NDArray[np.floating] = rounded.astype(dtype)
     return from_ordered(to_ordered(near) + away, dtype).astype(np.float64)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.gltf_draco import EXTENSION as DRACO
-from slepian_prt.scene.formats.gltf_draco import can_decode_draco, refuse_draco
 from slepian_prt.scene.formats.gltf_file import Document, open_gltf
 from slepian_prt.scene.formats.gltf_json import Entry
 from slepian_prt.scene.formats.gltf_nodes import (
@@ -95,8 +94,6 @@ def _check_extensions(document: Document) -> None:
             f"{document.path}: needs the glTF extension {' '.join(unknown[0].split())[:80]}, which is not read here; "
             "export it without"
         )
-    if DRACO in required and not can_decode_draco():
-        raise refuse_draco(document)
 
 
 def _place_parts(reading: Reading) -> Iterator[MeshPart]:

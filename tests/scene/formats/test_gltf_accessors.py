@@ -252,21 +252,6 @@ def test_draco_data_that_are_broken(writer, tmp_path, monkeypatch):
         read_gltf(writer.write(tmp_path))
 
 
-def test_without_dracopy(writer, tmp_path, monkeypatch):
-    """Refused by name, unless the file has the same uncompressed."""
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    draco_mesh(writer, {"POSITION": 3, "NORMAL": 7})
-    with pytest.raises(UserError, match=r"is Draco-compressed \(KHR_draco_mesh_compression\).*pip install DracoPy"):
-        read_gltf(writer.write(tmp_path))
-    data = (TETRAHEDRON.astype("f4"), np.int8([[0, 0, 127, 0]] * 4), FACES.astype("u4"))
-    for accessor, values in zip(writer.json["accessors"], data, strict=True):
-        accessor["bufferView"] = writer.view(values.tobytes())
-    writer.json["bufferViews"][2]["byteStride"] = 4
-    (part,) = read_gltf(writer.write(tmp_path)).parts
-    assert_exact(part.positions, TETRAHEDRON, COPIED)
-    assert_exact(part.normals, np.tile([0, 0, 1], (4, 1)), COPIED)
-
-
 def test_with_dracopy(writer, tmp_path):
     package = pytest.importorskip("DracoPy")
     data = package.encode(TETRAHEDRON, FACES.astype("u4"), quantization_bits=12, preserve_order=True)
