@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,17 @@ def test_factors_are_what_the_file_holds(prior, group_by):
     missed = (found[:, 0] - expected) * by_degree
     # A hundredth of the error, which is of the transfer with what coding lost.
     assert np.linalg.norm(missed) <= 1.1 * 0.01 * error * np.linalg.norm(expected * by_degree)
+
+
+def test_factors_of_three_channels_and_two_classes_are_what_the_file_holds(rng):
+    """Tints that differ from vertex to vertex; means of two classes, functions shared by caps of both."""
+    transfer = precompute(bumpy(4), bandlimit=4, samples=64)
+    tints = rng.uniform(0.5, 1.0, (len(transfer.vectors), 3, 1)).astype(np.float32)
+    coloured = dataclasses.replace(transfer, vectors=transfer.vectors[:, :1] * tints)
+    packed = compress(coloured, tolerance=0.05, clusters=6, occlusion_classes=2)
+    expected = packed.reconstruct().astype(np.float64)
+    assert expected.shape == (len(tints), 3, 25)
+    found = np.zeros_like(expected)
+    for part, members in zip(all_factors(packed), packed.clusters.members, strict=True):
+        found[members] = whole(part)
+    assert np.linalg.norm(found - expected) <= 1.1 * 0.01 * packed.predicted_error * np.linalg.norm(expected)
