@@ -129,6 +129,8 @@ class Contents:
         """What goes wrong in reading, said in one line."""
         try:
             yield
+        except UserError:  # which is a ValueError: said already
+            raise
         # RuntimeError of members that a flipped bit makes encrypted, NotImplementedError of versions to come.
         except (zipfile.BadZipFile, zlib.error, RuntimeError, *_MISFITS, EOFError) as error:
             reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__

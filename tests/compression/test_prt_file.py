@@ -167,3 +167,14 @@ def test_many_functions_of_high_degree_come_back(tmp_path):
     packed.save(tmp_path / "high.prt")
     vectors = packed.reconstruct()[packed.stored.order]
     assert_rounded(load(tmp_path / "high.prt").reconstruct(), vectors, terms=2 * 441, size=1.0)
+
+
+@pytest.mark.parametrize(("version", "remedy"), [(2, "precompute it again"), (99, "update slepian_prt")])
+def test_files_of_other_versions_are_told_of_in_one_sentence(version, remedy, tmp_path):
+    manifest = {"format": container_file.FORMAT, "version": version, "arrays": []}
+    with zipfile.ZipFile(tmp_path / "other.prt", "w") as file:
+        file.writestr("manifest.json", json.dumps(manifest))
+    with pytest.raises(UserError) as told:
+        load(tmp_path / "other.prt")
+    expected = f"has format version {version}, this program reads {container_file.VERSION}; {remedy}"
+    assert str(told.value) == f"{tmp_path / 'other.prt'}: {expected}"
