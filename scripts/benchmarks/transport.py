@@ -72,7 +72,10 @@ def transport() -> None:
 
 
 def _throughput(path: Path, bandlimit: int) -> None:
-    ours, raw, robust, stages = [], [], [], defaultdict(list)
+    ours: list[tuple[float, float]] = []
+    raw: list[tuple[float, float]] = []
+    robust: list[tuple[float, float]] = []
+    stages = defaultdict(list)
     with open_scene(path) as scene:
         plan = Survey.of(scene).plan(bandlimit, SAMPLES)
         positions = scene.traced_positions

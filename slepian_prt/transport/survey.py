@@ -187,7 +187,7 @@ class _Decisions:
             reason = "convex: nothing reaches above any vertex's tangent plane, so no ray is traced"
             return Effect("shadows", OMITTED, 0.0, 0.0, 0, reason), possible
         scene = self._scene
-        slips = "none slips" if scene.is_robust else f"fewer than one in {1.0 / scene.slipping.mean():,.0f} slips"
+        slips = "none slips" if scene.is_robust else f"fewer than one in {_in_round(scene.slipping.mean()):,} slips"
         reason = (
             f"{possible.size} of {receivers.size} vertices can be shadowed; the others need no rays; "
             f"{slips} between triangles"
@@ -311,6 +311,13 @@ def _trace_pilot(scene: Scene, possible: NDArray, receivers: int, seed: int) -> 
         interpolation_error(scene, seed),
         tail,
     )
+
+
+def _in_round(part: float) -> int:
+    """A number, of one digit and noughts, of which one is no less than the part."""
+    whole = int(1.0 / part)
+    digits = 10 ** (len(str(whole)) - 1)
+    return whole // digits * digits
 
 
 def _open_in_frames(tables: OcclusionTables, samples: VisibilitySamples) -> NDArray[np.float64]:

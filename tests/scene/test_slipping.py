@@ -1,5 +1,6 @@
 """Rays that slip between triangles: how many at most, by counting them, and where none may."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -84,8 +85,9 @@ def test_interiors_are_traced_in_robust_mode():
         assert traced.scene.ray_origins is room.ray_origins
         assert "none slips between triangles" in traced.plan(2, 64).shadows.reason
         assert out_of(traced.scene, radius=0.5) == 0
-        shadows = Survey.of(model).plan(2, 64).shadows
-        assert f"fewer than one in {1.0 / model.slipping.mean():,.0f} slips" in shadows.reason
+        reason = Survey.of(model).plan(2, 64).shadows.reason
+        said = int(re.search(r"fewer than one in ([\d,]+) slips", reason).group(1).replace(",", ""))
+        assert said <= 1.0 / model.slipping.mean() < 2.0 * said
 
 
 def test_scenes_of_shapes_are_traced_in_robust_mode(tmp_path):
