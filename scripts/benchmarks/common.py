@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,6 +40,8 @@ def line(what: str, value: str) -> None:
 
 def in_child(code: str, folder: str = "") -> str:
     """Run code in a fresh process, so that its peak memory is its own; with the package in a folder, if given."""
-    environment = {**os.environ, "PYTHONPATH": folder} if folder else None
+    where: dict[str, Any] = {}
+    if folder:  # also as the working folder, which comes first
+        where = {"cwd": folder, "env": {**os.environ, "PYTHONPATH": folder}}
     command = [sys.executable, "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.strip()
+    return subprocess.run(command, capture_output=True, text=True, check=True, **where).stdout.strip()

@@ -165,7 +165,9 @@ def _whole_command(name: str, path: Path, raw: float) -> None:
             times = []
             for _ in range(3):
                 begin, before = time.perf_counter(), os.times()
-                subprocess.run([*command, "--samples", str(SAMPLES)], env=environment, capture_output=True, check=True)
+                subprocess.run(
+                    [*command, "--samples", str(SAMPLES)], cwd=out, env=environment, capture_output=True, check=True
+                )
                 after = os.times()
                 spent = sum(after[2:4]) - sum(before[2:4])
                 times.append((time.perf_counter() - begin, spent))
