@@ -21,8 +21,8 @@ _ROUNDING = 2.0**-24
 _MEASURED = 0.02
 
 # What may slip, as a part of the rays: of all, and of those that start at any one vertex. A ray that slips changes one
-# of a vertex's thousand directions. One in 10⁵ does that at one vertex in a hundred, which is little beside the noise of
-# the others; in an interior, where little light comes in, it would count for more.
+# of a vertex's thousand directions. One in 10⁵ does that at one vertex in a hundred, which is little beside the noise
+# of the others; in an interior, where little light comes in, it would count for more.
 _OF_ALL, _AT_A_VERTEX = 1e-5, 1e-4
 
 
