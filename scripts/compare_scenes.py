@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.relighting.drawing.pictures import Picture, to_srgb
 from slepian_prt.relighting.mitsuba.integrator import register
 from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator

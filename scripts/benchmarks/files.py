@@ -12,7 +12,7 @@ from benchmarks.common import DRAGONS, data_folder, line, median_seconds
 from numpy.typing import NDArray
 
 import slepian_prt as sp
-from slepian_prt.compression import container
+from slepian_prt.compression.files import container
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, pack_order, read_mesh, store_mesh
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh as read_source

@@ -162,7 +162,7 @@ def read_maps(
 
 def read_transfer(file: str, *, check: bool = True) -> CompressedTransfer:
     """The transfer file that is named, see `load`; of a mesh or scene it is said how to make one."""
-    from slepian_prt.compression.prt_file import load
+    from slepian_prt.compression.files.prt_file import load
 
     try:
         return load(file, check=check)

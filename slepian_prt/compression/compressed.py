@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.codec.caps import Coded
-from slepian_prt.compression.file_size import file_size
+from slepian_prt.compression.files.file_size import file_size
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
@@ -291,7 +291,7 @@ class CompressedTransfer(Summarised):
         UserError
             The folder is missing or not writable, or the disk is full.
         """
-        from slepian_prt.compression.prt_file import save
+        from slepian_prt.compression.files.prt_file import save
 
         save(self, path, keep_order=keep_order)
 

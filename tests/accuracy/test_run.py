@@ -18,7 +18,7 @@ from slepian_prt.accuracy.vertices import NotCounted, count_left_out, draw_other
 from slepian_prt.cli import main
 from slepian_prt.cli.goal import print_verification
 from slepian_prt.compression.codec import caps as codec
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.metrics import relative_rms

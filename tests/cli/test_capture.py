@@ -12,7 +12,7 @@ import OpenEXR
 import pytest
 
 from slepian_prt.cli import main
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.renderer.variants import bitmap_module
 
 SCENE = """<scene version="3.0.0">

@@ -287,7 +287,7 @@ def test_a_fault_of_ours_is_one_line_and_status_one(folder, capsys, monkeypatch)
     def fail(*_args, **_kwargs):
         raise RuntimeError("something\nwith lines")
 
-    monkeypatch.setattr("slepian_prt.compression.prt_file.load", fail)
+    monkeypatch.setattr("slepian_prt.compression.files.prt_file.load", fail)
     assert run(["info", folder / "ball.prt"]) == 1
     error = capsys.readouterr().err
     assert len(error.strip().splitlines()) == 1

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from slepian_prt.cli import main
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 from tests.terminal import run_in_terminal
 
 

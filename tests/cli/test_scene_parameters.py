@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from slepian_prt.cli import main
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 
 SMALL = ["--bandlimit", "2", "--samples", "16", "--clusters", "4"]
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from slepian_prt.compression import checkpoint as stores
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, precompute_compressed
 from slepian_prt.errors import UserError

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slepian_prt.compression import container
+from slepian_prt.compression.files import container
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.noise import finest_tolerance
-from slepian_prt.compression.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep

@@ -23,7 +23,7 @@ import hashlib, json, sys
 import threadpoolctl
 from slepian_prt.compression.codec import cap_stream, caps, encoding
 from slepian_prt.compression.codec.surface import surface_of
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 
 integers, contexts = hashlib.sha256(), hashlib.sha256()
 read = cap_stream.CapsReader.symbols

@@ -10,9 +10,9 @@ from slepian_prt.compression.bases import ANALYTIC, BASES, Frame, Problem, candi
 from slepian_prt.compression.clustering import cluster_axes, spread
 from slepian_prt.compression.decoder import coded_along_principal_axes
 from slepian_prt.compression.encoder import WarmStart
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.pilot import learn, pilot_vertices
-from slepian_prt.compression.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.clustering import Clusters, cluster_axes
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.evaluation.metrics import seam
 from slepian_prt.relighting.relight import relight

@@ -10,7 +10,7 @@ from numpy.polynomial import legendre
 
 import slepian_prt as sp
 from slepian_prt.cli import main
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.damping import damp
 from slepian_prt.relighting.series import Lights, relight_series

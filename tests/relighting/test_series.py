@@ -40,7 +40,7 @@ def run(folder, *arguments: str, env: dict[str, str] | None = None) -> subproces
 
 
 def test_many_lights_are_each_light(folder, rng):
-    from slepian_prt.compression.prt_file import load
+    from slepian_prt.compression.files.prt_file import load
 
     packed = load(folder / "bumpy.prt")
     lights = rng.normal(size=(7, 3, 36))
@@ -62,7 +62,7 @@ def test_a_turntable_turns_the_light(folder):
     done = run(folder, "--environment", "first.exr", "--rotate", "10", "--turntable", "5", "-o", "all.npz")
     assert done.returncode == 0, done.stderr
     assert "5 results" in done.stdout
-    from slepian_prt.compression.prt_file import load
+    from slepian_prt.compression.files.prt_file import load
 
     packed = load(folder / "bumpy.prt")
     radiance = np.load(folder / "all.npz")["radiance"]
@@ -151,7 +151,7 @@ def test_without_an_encoder(monkeypatch):
 
 
 def test_series_that_fail_leave_nothing(folder, tmp_path, monkeypatch):
-    from slepian_prt.compression.prt_file import load
+    from slepian_prt.compression.files.prt_file import load
 
     packed = load(folder / "bumpy.prt")
     lights = Lights((str(folder / "first.exr"),), turntable=3)

@@ -133,7 +133,7 @@ def test_lobes_are_clustered_by_reflection(write):
 
 @pytest.mark.slow
 def test_compresses_and_comes_back(write, tmp_path):
-    from slepian_prt.compression.prt_file import load
+    from slepian_prt.compression.files.prt_file import load
 
     transfer = precompute(write(scene_of(BSDFS["roughplastic"])), 6, 256, effects="direct", view="front")
     packed = compress(transfer, tolerance=0.05, clusters=24)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files.prt_file import load
 
 _numbers = count()
 _in_memory: dict[str, HeldFile] = {}

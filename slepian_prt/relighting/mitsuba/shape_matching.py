@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.vertex_order import landmarks, rounding_of
+from slepian_prt.compression.files.vertex_order import landmarks, rounding_of
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.mitsuba.placement import (
     MOVED,

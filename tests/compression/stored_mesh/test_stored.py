@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slepian_prt.compression import container
+from slepian_prt.compression.files import container
 from slepian_prt.compression.stored_mesh.schema import check_mesh
 from slepian_prt.compression.stored_mesh.stored import read_mesh, store_mesh
 from slepian_prt.scene.formats.joining import join_equal

@@ -247,7 +247,7 @@ def test_constant_and_sky():
 
 @pytest.mark.slow
 def test_the_scenes_own_light_is_kept_with_the_transfer(tmp_path):
-    from slepian_prt.compression.prt_file import load
+    from slepian_prt.compression.files.prt_file import load
     from slepian_prt.compression.stream import compress
 
     body = """<emitter type="constant"><rgb name="radiance" value="1, 2, 3"/></emitter>

@@ -8,15 +8,15 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from slepian_prt.compression import container
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.file_size import remember_size
-from slepian_prt.compression.film_packing import pack_film
-from slepian_prt.compression.lamp_packing import pack_lamps
+from slepian_prt.compression.files import container
+from slepian_prt.compression.files.file_size import remember_size
+from slepian_prt.compression.files.film_packing import pack_film
+from slepian_prt.compression.files.lamp_packing import pack_lamps
+from slepian_prt.compression.files.stored_transfer import check_schema, stored_transfer
+from slepian_prt.compression.files.transfer_arrays import pack_transfer
+from slepian_prt.compression.files.vertex_order import in_file_order
 from slepian_prt.compression.stored_mesh.stored import pack_order
-from slepian_prt.compression.stored_transfer import check_schema, stored_transfer
-from slepian_prt.compression.transfer_arrays import pack_transfer
-from slepian_prt.compression.vertex_order import in_file_order
 
 
 def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = False) -> None:

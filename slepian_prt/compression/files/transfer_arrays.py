@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.clustering import Clusters, clusters_of_sites, frames_of
-from slepian_prt.compression.coded_packing import pack_coded, unpack_coded
 from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.compression.files.coded_packing import pack_coded, unpack_coded
+from slepian_prt.compression.files.radial_packing import pack_radial, unpack_radial
 from slepian_prt.compression.linear_basis import LinearBasis
-from slepian_prt.compression.packing import pack_radial, unpack_radial
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import morton

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slepian_prt import files
-from slepian_prt.compression import container as container_file
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files import container as container_file
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.relight import relight

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakKeyDictionary
 
-from slepian_prt.compression import container
+from slepian_prt.compression.files import container
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -37,7 +37,7 @@ class FileSize(NamedTuple):
 def file_size(packed: CompressedTransfer) -> FileSize:
     """Of the file that transfer was written to or read from last, or else of one that it would be written to."""
     if packed not in _sizes:
-        from slepian_prt.compression.prt_file import content_of
+        from slepian_prt.compression.files.prt_file import content_of
 
         remember_size(packed, container.sizes_of(*content_of(packed)))
     return _sizes[packed]

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer, Outline
-from slepian_prt.compression.container import Contents
-from slepian_prt.compression.film_packing import check_film, unpack_film
-from slepian_prt.compression.lamp_packing import check_lamps, unpack_lamps
+from slepian_prt.compression.files.container import Contents
+from slepian_prt.compression.files.film_packing import check_film, unpack_film
+from slepian_prt.compression.files.lamp_packing import check_lamps, unpack_lamps
+from slepian_prt.compression.files.transfer_arrays import check_transfer, unpack_transfer
+from slepian_prt.compression.files.vertex_order import in_source_order
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.stored_mesh.schema import check_mesh
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, read_stored, sizes_of_parts, unpack_order
-from slepian_prt.compression.transfer_arrays import check_transfer, unpack_transfer
-from slepian_prt.compression.vertex_order import in_source_order
 from slepian_prt.errors import UserError
 from slepian_prt.scene.film import Film, FilmOutline
 from slepian_prt.scene.mesh import Mesh

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slepian_prt.compression import container
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.lamp_packing import pack_lamps, unpack_lamps
-from slepian_prt.compression.prt_file import load
+from slepian_prt.compression.files import container
+from slepian_prt.compression.files.lamp_packing import pack_lamps, unpack_lamps
+from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.fixed_lights import FixedLights
