@@ -1,7 +1,7 @@
 # The public names: `__init__.py` loads them from here when they are used.
 from .compression.compressed import CompressedTransfer as CompressedTransfer
-from .compression.film_compression import compress_film as compress_film
 from .compression.files.prt_file import load as load
+from .compression.film_compression import compress_film as compress_film
 from .compression.stream import compress as compress
 from .errors import UserError as UserError
 from .evaluation.drawing import plot_errors as plot_errors
