@@ -1,10 +1,12 @@
-"""What files spend on meshes and on all, beside deflate of the same arrays and Draco; seconds to store and to read."""
+"""What files spend on meshes and on all, beside deflate and Draco; seconds to store, to read and to decode."""
 
 from __future__ import annotations
 
 import tempfile
+import time
 import zlib
 from pathlib import Path
+from statistics import median
 
 import DracoPy
 import numpy as np
@@ -12,6 +14,7 @@ from benchmarks.common import DRAGONS, data_folder, line, median_seconds
 from numpy.typing import NDArray
 
 import slepian_prt as sp
+from slepian_prt.compression.decoder import decode_all
 from slepian_prt.compression.files import container
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, pack_order, read_mesh, store_mesh
 from slepian_prt.scene.mesh import Mesh
@@ -67,11 +70,28 @@ def _whole(path: Path) -> None:
         with tempfile.TemporaryDirectory() as folder:
             packed.save(Path(folder) / "out.prt")
             size = (Path(folder) / "out.prt").stat().st_size
+            loading = median_seconds(lambda file=Path(folder) / "out.prt": sp.load(file))
+            seconds, count = _decoding(Path(folder) / "out.prt")
         line(
             f"{path.stem}, {RAYS} rays, tolerance {tolerance}: transfer, mesh, whole file",
             f"{packed.bytes_per_vertex:.2f}, {packed.mesh_bytes_per_vertex:.2f}, "
             f"{packed.file_bytes_per_vertex:.2f} bytes per vertex, {size / 1e6:.3f} MB",
         )
+        line("  to load it; to decode mesh and all caps", f"{1e3 * loading:.0f} ms; {1e3 * seconds:.0f} ms")
+        numbers = np.zeros(count, dtype=np.float32)
+        copy = median_seconds(lambda numbers=numbers: numbers.copy())
+        line("  coefficients decoded", f"{count / seconds / 1e6:.1f} M/s; copied {count / copy / 1e6:.0f} M/s")
+
+
+def _decoding(file: Path) -> tuple[float, int]:
+    """Median seconds from a loaded file to the coefficients of all caps, and how many these are."""
+    seconds, count = [], 0
+    for _ in range(7):
+        packed = sp.load(file)
+        begin = time.perf_counter()
+        count = sum(cap.values.size for cap in decode_all(packed))
+        seconds.append(time.perf_counter() - begin)
+    return median(seconds), count
 
 
 def _store(mesh: Mesh, exact: bool) -> StoredMesh:
