@@ -137,15 +137,17 @@ class Surface:
         self._neighbours = receivers.neighbours
         low = positions.min(axis=0)
         extent = float((positions.max(axis=0) - low).max())
-        self._places = np.rint((positions - low) * (_PLACES / extent if extent > 0.0 else 0.0)).astype(np.int64)
-        self._turns = np.rint(receivers.normals.astype(np.float32).astype(np.float64) * _TURNS).astype(np.int64)
+        places = np.rint((positions - low) * (_PLACES / extent if extent > 0.0 else 0.0))
+        turns = np.rint(receivers.normals.astype(np.float32).astype(np.float64) * _TURNS)
+        self._seen = np.hstack([places, turns]).astype(np.int64)
         self._remembered: dict[bytes, CapRows] = {}
 
     @cached_property
     def _edge(self) -> int:
         """Mean squared length of an edge."""
         a, b = self._neighbours.T
-        lengths = ((self._places[a] - self._places[b]) ** 2).sum(axis=1)
+        away = self._seen[a, :3] - self._seen[b, :3]
+        lengths = (away * away).sum(axis=1)
         return max(1, int(lengths.sum()) // max(1, lengths.size))
 
     def rows(self, members: Sequence[NDArray]) -> CapRows:
@@ -244,8 +246,10 @@ class Surface:
 
     def _weights(self, a: NDArray, b: NDArray) -> NDArray[np.int64]:
         """1 / (squared distance in edges + 40 squared difference of normals + 1/20), in integers."""
-        apart = ((self._places[a] - self._places[b]) ** 2).sum(axis=1)
-        turned = ((self._turns[a] - self._turns[b]) ** 2).sum(axis=1)
+        away = self._seen.take(a, axis=0)
+        away -= self._seen.take(b, axis=0)
+        away *= away
+        apart, turned = away[:, 0] + away[:, 1] + away[:, 2], away[:, 3] + away[:, 4] + away[:, 5]
         # In units of the squared edge; the largest possible product is below 2^62.
         edge = self._edge
         measure = apart + (_TURN_COUNTS * turned * edge) // (_TURNS * _TURNS) + edge // _NEAREST
