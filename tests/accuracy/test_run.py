@@ -17,7 +17,7 @@ from slepian_prt.accuracy.verify import Verification
 from slepian_prt.accuracy.vertices import NotCounted, count_left_out, draw_others
 from slepian_prt.cli import main
 from slepian_prt.cli.goal import print_verification
-from slepian_prt.compression.codec import caps as codec
+from slepian_prt.compression.codec.encoding import FirstPass
 from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.errors import UserError
@@ -134,7 +134,7 @@ def test_too_few_rays_are_named():
 @pytest.fixture
 def pretended(monkeypatch):
     """Seconds of a machine that takes 0.2 µs for a ray and 0.1 µs for a number that is coded, and else no time."""
-    now, lock, trace, encode = [0.0], threading.Lock(), DirectTransfer.trace, codec.encode_cap
+    now, lock, trace, predict = [0.0], threading.Lock(), DirectTransfer.trace, FirstPass.__init__
 
     def pass_by(seconds):
         with lock:
@@ -146,13 +146,12 @@ def pretended(monkeypatch):
         pass_by(2e-7 * (source.rays - before))
         return samples
 
-    def encoded(coefficients, *rest, **options):
-        pass_by(1e-7 * coefficients.size)
-        return encode(coefficients, *rest, **options)
+    def predicted(first, caps, *rest, **options):
+        pass_by(1e-7 * sum(part.size for part in caps.parts))
+        predict(first, caps, *rest, **options)
 
     monkeypatch.setattr(DirectTransfer, "trace", traced)
-    for module in ("encoder", "trial"):
-        monkeypatch.setattr(f"slepian_prt.compression.{module}.encode_cap", encoded)
+    monkeypatch.setattr(FirstPass, "__init__", predicted)
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
 
 
@@ -259,7 +258,8 @@ def test_vertices_inside_others_do_not_count(light):
     found = precompute_within(mesh, Goal(error=0.08), light, FEW, TransportSettings())
     checked = found.verification
     assert checked.error[0] <= 0.08
-    assert checked.error[0] == pytest.approx(checked.predicted[0], rel=0.3)
+    # What is foreseen counts those inside, too, a third of all, whose coefficients are off by 1.3 times as much.
+    assert 0.65 * checked.predicted[0] <= checked.error[0] <= 1.1 * checked.predicted[0]
     # One vertex of each two that are neighbours on a curve through space is held out: of those inside a half, but for
     # pairs of an inner and an outer one.
     assert checked.vertices == len(mesh.positions) // 2

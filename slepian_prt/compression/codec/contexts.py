@@ -195,7 +195,7 @@ def stored_shares(counts: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 def stored_changes(seen: NDArray, changed: NDArray) -> NDArray[np.uint8]:
     """(BASES,) to be stored, from how many differences (BASES,) were seen and were not zero."""
-    usual = 1.0 - np.exp(-DEAD_ZONE / np.maximum(context_sizes()[::_OCTAVES], 1e-3))
+    usual = np.exp(-DEAD_ZONE / np.maximum(context_sizes()[::_OCTAVES], 1e-3))
     return _stored((changed + usual) / (seen + 1.0))
 
 
