@@ -65,22 +65,28 @@ class DecodedCap:
 
     Attributes
     ----------
-    multiples : (N, A) int32
-        Sixteenths of a step, in the order of the cap's members.
+    multiples : (N, w) float64
+        Whole numbers, of sixteenths of a step, in the order of the cap's members; further components are zero.
+    count : int
+        Components: A.
     axes : (A, K) or None
         Orthonormal principal axes; None if the multiples are those of the coefficients themselves.
     """
 
-    multiples: NDArray[np.int32]
+    multiples: NDArray[np.float64]
+    count: int
     axes: NDArray[np.float64] | None
 
     def values(self, step: float) -> NDArray[np.float32]:
         """(N, A) numbers."""
-        return (self.multiples * (step / PARTS)).astype(np.float32)
+        full = np.zeros((len(self.multiples), self.count), dtype=np.float32)
+        np.multiply(self.multiples, step / PARTS, out=full[:, : self.multiples.shape[1]], casting="same_kind")
+        return full
 
     def coefficients(self, step: float) -> NDArray[np.float64]:
         """(N, K) coefficients."""
-        values = self.multiples.astype(np.float64) * (step / PARTS)
+        values = np.zeros((len(self.multiples), self.count))
+        values[:, : self.multiples.shape[1]] = self.multiples * (step / PARTS)
         return values if self.axes is None else np.asarray(values @ self.axes)
 
 
@@ -122,14 +128,13 @@ def decode_caps(
     reader.check_end()
     found = []
     for content, count, rows_of_cap, own in zip(contents, component_counts, rows.by_member, axes, strict=True):
-        full = np.zeros((rows_of_cap.size, content.width if content.principal_axes else count), dtype=np.int32)
-        full[:, : content.width] = multiples[rows_of_cap, : content.width]
-        found.append(DecodedCap(full, own.rows if own is not None else _no_axes(content, count)))
+        whole = multiples[rows_of_cap, : content.width]
+        if content.principal_axes:
+            rows_of_axes = np.zeros((0, count)) if own is None else own.rows
+            found.append(DecodedCap(whole, content.width, rows_of_axes))
+        else:
+            found.append(DecodedCap(whole, count, None))
     return found
-
-
-def _no_axes(content: CapBytes, components: int) -> NDArray[np.float64] | None:
-    return np.zeros((0, components)) if content.principal_axes else None
 
 
 def _read_classes(reader: CapsReader, widths: NDArray[np.int64]) -> NDArray[np.uint8]:

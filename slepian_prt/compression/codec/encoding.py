@@ -228,9 +228,9 @@ class RoundedCaps:
             content = CapBytes(lanes, bits, int(self._widths[c]), own is not None)
             kept = None
             if keep:
-                width = part.shape[1] if own is None else content.width
-                multiples = self.differences.multiples[caps.rows.by_member[c], :width].astype(np.int32)
-                kept = DecodedCap(multiples, None if own is None else own.rows)
+                multiples = self.differences.multiples[caps.rows.by_member[c], : content.width]
+                count = part.shape[1] if own is None else content.width
+                kept = DecodedCap(multiples, count, None if own is None else own.rows)
             used = int(np.count_nonzero(self.telling.classes[c]))
             found.append(EncodedCap(content, used, self.errors[c], kept))
         return found

@@ -21,7 +21,8 @@ from slepian_prt.compression.codec.models import PRECISION, WHOLE
 _START = 1 << 16
 
 # Entries of decoding tables: what a slot says of frequency, place among those of its symbol, and symbol.
-_FREQUENCY_SHIFT, _OFFSET_SHIFT = 19, 7
+_FREQUENCY_SHIFT, _OFFSET_SHIFT = np.uint32(19), np.uint32(7)
+_PRECISION, _WORD = np.uint32(PRECISION), np.uint32(16)
 _OFFSET_MASK, _SYMBOL_MASK = WHOLE - 1, (1 << 7) - 1
 
 
@@ -46,7 +47,7 @@ class ModelTable:
         rows = np.repeat(symbols, parts.ravel())
         flat = np.repeat(np.arange(parts.size), parts.ravel())
         offsets = np.arange(WHOLE * len(parts)) % WHOLE - self.starts.ravel()[flat]
-        entries = parts.ravel()[flat] << _FREQUENCY_SHIFT | offsets << _OFFSET_SHIFT | rows
+        entries = parts.ravel()[flat] << int(_FREQUENCY_SHIFT) | offsets << int(_OFFSET_SHIFT) | rows
         self.entries = entries.astype(np.uint32)
 
     @cached_property
@@ -170,7 +171,7 @@ class LaneReader:
         if self._ends.size and (lengths.min() < 2 or self._ends[-1] != self._words.size - 2):
             raise ValueError("number of words")
         first = self._ends - lengths
-        self._state = (self._words[first] << np.uint32(16)) | self._words[first + 1]
+        self._state = (self._words[first] << _WORD) | self._words[first + 1]
         self._next = first + 2
 
     def read(self, counts: NDArray[np.int64], models: NDArray) -> NDArray[np.int64]:
@@ -179,23 +180,25 @@ class LaneReader:
         bases = grid.spread(models.astype(np.uint32), self._table.idle) << np.uint32(PRECISION)
         found = np.empty(bases.shape, dtype=np.uint32)
         state, words, following = self._state, self._words, self._next
-        entries, low, last = self._table.entries, np.uint32(WHOLE - 1), self._words.size - 1
+        # Methods instead of functions: with so small arrays a call costs as much as its work.
+        look_up, low = self._table.entries.take, np.uint32(WHOLE - 1)
         slots, offsets = np.empty((2, state.size), dtype=np.uint32)
         for base, entry in zip(bases, found, strict=True):
             np.bitwise_and(state, low, out=slots)
             slots += base
-            np.take(entries, slots, out=entry, mode="wrap")
-            np.right_shift(entry, np.uint32(_OFFSET_SHIFT), out=offsets)
+            look_up(slots, out=entry, mode="wrap")
+            np.right_shift(entry, _OFFSET_SHIFT, out=offsets)
             offsets &= low
-            state >>= np.uint32(PRECISION)
-            np.right_shift(entry, np.uint32(_FREQUENCY_SHIFT), out=slots)
+            state >>= _PRECISION
+            np.right_shift(entry, _FREQUENCY_SHIFT, out=slots)
             state *= slots
             state += offsets
-            empty = np.flatnonzero(state < _START)
+            empty = (state < _START).nonzero()[0]
             if empty.size:
                 at = following[empty]
-                state[empty] = (state[empty] << np.uint32(16)) | words.take(at, mode="clip")
-                following[empty] = np.minimum(at + 1, last)
+                state[empty] = (state[empty] << _WORD) | words.take(at, mode="clip")
+                at += 1
+                following[empty] = at
         symbols = np.empty(grid.places.size, dtype=np.int64)
         symbols[grid.places] = (found & np.uint32(_SYMBOL_MASK))[grid.used]
         return symbols
