@@ -136,6 +136,7 @@ def next_step(step: float, found: float, wanted: float) -> float:
 
 def fit_predictor(x: NDArray, rows: CapRows) -> Predictor:
     """Least squares over coefficients (n, width) in the order of the rows, for each component."""
+    x = x if x.shape[1] else np.zeros((len(x), 1))  # other caps may have components
     tried, width = len(_SHRINKAGES), x.shape[1]
     products, squares = np.zeros((2, tried, width)), np.zeros((2, tried, width))
     for level in rows.levels:
