@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -9,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.blocks import pieces_of
-from slepian_prt.compression.codec.caps import DecodedCap, decode_caps
+from slepian_prt.compression.codec.caps import Coded, DecodedCap, decode_caps
 from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.pilot import channel_mixing
 from slepian_prt.errors import UserError
@@ -20,7 +23,8 @@ if TYPE_CHECKING:
 
 
 # Coefficients that are decoded together: they take some 40 bytes each meanwhile.
-_PIECE = 1 << 23
+_PIECE = 1 << 22
+_THREADS = 4
 
 
 class CapCoefficients(NamedTuple):
@@ -61,10 +65,17 @@ def decode_all(packed: CompressedTransfer) -> tuple[CapCoefficients, ...]:
         if packed.coded is None:
             _decoded[packed] = tuple(decode(packed, c) for c in range(len(packed.bases)))
         else:
-            counts = packed.clusters.sizes * np.array([content.width for content in packed.coded.caps])
-            pieces = pieces_of(counts, _PIECE)
-            _decoded[packed] = tuple(cap for piece in pieces for cap in _decode_coded(packed, piece))
+            _decoded[packed] = tuple(_decode_pieces(packed, packed.coded))
     return _decoded[packed]
+
+
+def _decode_pieces(packed: CompressedTransfer, coded: Coded) -> Iterator[CapCoefficients]:
+    """All caps, piece by piece; several pieces at once, as most of the work lets go of Python's lock."""
+    pieces = pieces_of(packed.clusters.sizes * np.array([content.width for content in coded.caps]), _PIECE)
+    surface_of(packed.mesh.receivers)
+    with ThreadPoolExecutor(min(len(pieces), os.cpu_count() or 1, _THREADS)) as threads:
+        for decoded in threads.map(lambda piece: _decode_coded(packed, piece), pieces):
+            yield from decoded
 
 
 def _decode_coded(packed: CompressedTransfer, caps: range) -> list[CapCoefficients]:
