@@ -210,11 +210,15 @@ def _relaxed(n: int) -> NDArray[np.float64]:
     from scipy.spatial import cKDTree
 
     points, rule = _spiral(n), _spiral(32 * n)
-    for _ in range(_RELAXATIONS):
-        _, cell = cKDTree(points).query(rule, workers=-1)
-        count = np.bincount(cell, minlength=n)
-        sums = np.column_stack([np.bincount(cell, rule[:, axis], minlength=n) for axis in (0, 1)])
-        points = sums / count[:, None]
+    parts = np.array_split(rule, os.cpu_count() or 1)
+    # Threads of our own, which are waited for: those of SciPy go on after an interrupt, on memory that is freed by then.
+    with ThreadPoolExecutor(len(parts)) as pool:
+        for _ in range(_RELAXATIONS):
+            tree = cKDTree(points)
+            cell = np.concatenate([nearest for _, nearest in pool.map(tree.query, parts)])
+            count = np.bincount(cell, minlength=n)
+            sums = np.column_stack([np.bincount(cell, rule[:, axis], minlength=n) for axis in (0, 1)])
+            points = sums / count[:, None]
     return points * (_RIM / np.linalg.norm(points, axis=1).max())
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -321,6 +322,25 @@ def test_interrupt_leaves_nothing(folder, tmp_path):
     assert process.returncode == 130, error
     assert error.strip().splitlines() == ["slepian-prt: interrupted; nothing was written"]
     assert [p.name for p in tmp_path.iterdir()] == ["big.ply"]
+
+
+def test_what_was_written_before_is_no_input(folder, tmp_path):
+    """A mesh beside the file that has the name of its source is that only if the source is not where it was."""
+    shutil.copy(folder / "ball.ply", tmp_path / "ball.ply")
+    (tmp_path / "out").mkdir()
+    assert main(["precompute", f"{tmp_path}/ball.ply", "-o", f"{tmp_path}/out/ball.prt", "--samples", "16"]) == 0
+    again = [
+        "relight",
+        f"{tmp_path}/out/ball.prt",
+        "--environment",
+        f"{folder}/map.exr",
+        "-o",
+        f"{tmp_path}/out/ball.ply",
+    ]
+    assert main(again) == 0
+    assert main(again) == 0
+    (tmp_path / "ball.ply").unlink()
+    assert main(again) == 2
 
 
 @pytest.mark.slow

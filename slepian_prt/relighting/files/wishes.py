@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -127,8 +128,9 @@ def check_film(output: str, packed: CompressedTransfer, wish: Wish) -> None:
 def check_source(output: str, packed: CompressedTransfer, file: str) -> None:
     """Raise UserError if the output is the mesh or scene that the transfer file was made from, as far as that is known.
 
-    The file holds its path as it was given; where that is relative, it is also looked for beside the file.
+    The file holds its path as it was given; if nothing is there, it is looked for beside the file.
     """
     source, folder = Path(packed.source), Path(file).parent
     if packed.source and Path(output).is_file():
-        check_writable(output, source, folder / source, folder / source.name)
+        known = (path for path in (source, folder / source, folder / source.name) if path.is_file())
+        check_writable(output, *itertools.islice(known, 1))
