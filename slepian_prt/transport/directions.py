@@ -211,7 +211,7 @@ def _relaxed(n: int) -> NDArray[np.float64]:
 
     points, rule = _spiral(n), _spiral(32 * n)
     parts = np.array_split(rule, os.cpu_count() or 1)
-    # Threads of our own, which are waited for: those of SciPy go on after an interrupt, on memory that is freed by then.
+    # Threads of our own, which are waited for: those of SciPy go on after an interrupt, on memory that is freed then.
     with ThreadPoolExecutor(len(parts)) as pool:
         for _ in range(_RELAXATIONS):
             tree = cKDTree(points)
