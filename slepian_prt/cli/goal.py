@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from slepian_prt.cli.messages import note, say
+from slepian_prt.cli.options import KEPT_ORDER
 from slepian_prt.cli.terminal import describe, print_plan, print_table, progress
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def precompute_toward(
             report=report,
         )
     print_verification(found.verification, goal)
-    found.packed.save(output, keep_order=keep_order)
+    found.packed.save(output, keep_order=keep_order or found.packed.vertex_count <= KEPT_ORDER)
     say(f"{output}: {describe(found.packed)}; {time.perf_counter() - started:.1f} s in all")
 
 

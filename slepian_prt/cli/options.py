@@ -10,6 +10,10 @@ import click
 from slepian_prt.cli.values import Albedo, Names, Parameter, Point, as_dict
 from slepian_prt.errors import UserError
 
+# Vertices up to which files keep the order of their source unasked: scripts pair them with arrays of their own, and it
+# takes some 30 kB at most.
+KEPT_ORDER = 1 << 14
+
 Decorator = Callable[[Any], Any]
 
 

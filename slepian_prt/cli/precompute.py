@@ -11,6 +11,7 @@ from click.core import ParameterSource
 
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
+    KEPT_ORDER,
     clamp_option,
     environment_option,
     grouping_options,
@@ -66,7 +67,8 @@ _compression_options = together(
 _keep_order_option = click.option(
     "--keep-order",
     is_flag=True,
-    help="Vertices in the order of SCENE, not in that of the file, which is 2 bytes smaller for each.",
+    help="Vertices in the order of SCENE, not in that of the file, which is 2 bytes smaller for each; always for up "
+    f"to {KEPT_ORDER:,} vertices.",
 )
 
 _goal_options = together(
@@ -159,7 +161,7 @@ def _precompute(
         packed = precompute_compressed(scene, settings, transport, on_plan=print_plan, advance=advance, report=report)
     if transport.bounces is not None and packed.bounces < transport.bounces:
         note(f"`bounces={transport.bounces}` has no effect: no light between surfaces is simulated (see the plan)")
-    packed.save(output, keep_order=keep_order)
+    packed.save(output, keep_order=keep_order or packed.vertex_count <= KEPT_ORDER)
     error = settings.expected_error(packed.expected)
     wanted = settings.resolved_tolerance
     if packed.path_noise is not None:

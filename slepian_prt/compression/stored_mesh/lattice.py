@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 # Of the largest side of the box.
 STEPS = (1 << 16) - 1
 
-# Mean edges are no shorter than this, so that computed normals are those of the source; but finer than so many powers
-# of two is nothing for it, as Draco's wrapper holds 24 bits.
+# Mean edges are no shorter than this, so that computed normals are those of the source, and all but the shortest of a
+# hundred no shorter than that, so that details of something large keep their shape; but finer than so many powers of
+# two is nothing for it, as Draco's wrapper holds 24 bits.
 _STEPS_OF_EDGE = 200.0
+_STEPS_OF_SHORT_EDGE, _SHORT = 16.0, 0.01
 _MUCH_FINER = 7
 
 # In float64, what is finer than this power of two of a step is not told apart, nor what is further away than so many.
@@ -96,6 +98,11 @@ def _shift(points: NDArray[np.float64], corners: NDArray[np.float64], step: floa
     if extent <= 0.0:
         return 0
     needed = max(0, math.floor(math.log2(STEPS * step / extent) + 1e-9))
-    edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
-    wanted = math.ceil(math.log2(_STEPS_OF_EDGE * step / edge)) if edge > 0.0 else 0
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).ravel()
+    edges = edges[edges > 0.0]
+    if edges.size == 0:
+        return min(needed, _FINEST)
+    short = np.partition(edges, int(_SHORT * edges.size))[int(_SHORT * edges.size)]
+    shortest = min(edges.mean() / _STEPS_OF_EDGE, short / _STEPS_OF_SHORT_EDGE)
+    wanted = math.ceil(math.log2(step / shortest))
     return min(max(needed, wanted), needed + _MUCH_FINER, _FINEST)

@@ -9,6 +9,7 @@ from slepian_prt.compression.files import container
 from slepian_prt.compression.stored_mesh.schema import check_mesh
 from slepian_prt.compression.stored_mesh.stored import read_mesh, store_mesh
 from slepian_prt.scene.formats.joining import join_equal
+from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.scene.scene import Part
 from tests.compression.stored_mesh.meshes import (
     both_sides,
@@ -285,3 +286,16 @@ def test_spoilt_bytes_of_draco_do_no_harm(seed):
         assert read.positions.shape == mesh.positions.shape
         assert read.faces.max() < len(read.positions)
         assert np.isfinite(read.normals).all()
+
+
+def test_details_of_something_large_keep_their_shape():
+    """A trench of 10 cm through 5 km: its vertices move by less than a sixteenth of its shortest edges, 2 cm."""
+    across = np.array([-2500.0, -1250.0, -0.07, -0.05, -0.025, 0.0, 0.025, 0.05, 0.07, 1250.0, 2500.0])
+    depth = np.where(np.abs(across) <= 0.05, -0.1, 0.0)
+    along = np.linspace(-2500.0, 2500.0, 9)
+    positions = np.array([[x, y, z] for x, y in zip(across, depth, strict=True) for z in along])
+    corner = np.arange(len(positions)).reshape(len(across), len(along))
+    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
+    mesh = make_mesh(positions, np.concatenate([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)]))
+    stored = store_mesh(mesh, (Part("terrain", 0, len(positions)),))
+    assert np.abs(stored.mesh.positions - mesh.positions).max() < 0.02 / 16.0
