@@ -51,7 +51,8 @@ def test_from_the_command_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     box = cut_box()
     box.export("box.ply")
-    for flags, kept in ((["--keep-order"], True), ([], False)):
+    for flags, unasked, kept in ((["--keep-order"], 0, True), ([], 0, False), ([], 1 << 14, True)):
+        monkeypatch.setattr("slepian_prt.cli.precompute.KEPT_ORDER", unasked)
         made = CliRunner().invoke(
             cli, ["precompute", "box.ply", "-o", "box.prt", "--bandlimit", "1", "--samples", "16", *flags]
         )
