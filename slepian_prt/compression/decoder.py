@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.blocks import pieces_of
 from slepian_prt.compression.codec.caps import Coded, DecodedCap, decode_caps
@@ -73,7 +74,9 @@ def _decode_pieces(packed: CompressedTransfer, coded: Coded) -> Iterator[CapCoef
     """All caps, piece by piece; several pieces at once, as most of the work lets go of Python's lock."""
     pieces = pieces_of(packed.clusters.sizes * np.array([content.width for content in coded.caps]), _PIECE)
     surface_of(packed.mesh.receivers)
-    with ThreadPoolExecutor(min(len(pieces), os.cpu_count() or 1, _THREADS)) as threads:
+    # One thread of BLAS for each of these: more would wait for each other over small principal axes.
+    count = min(len(pieces), os.cpu_count() or 1, _THREADS)
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(count) as threads:
         for decoded in threads.map(lambda piece: _decode_coded(packed, piece), pieces):
             yield from decoded
 

@@ -23,7 +23,7 @@ _START = 1 << 16
 # Entries of decoding tables: what a slot says of frequency, place among those of its symbol, and symbol.
 _FREQUENCY_SHIFT, _OFFSET_SHIFT = np.uint32(19), np.uint32(7)
 _PRECISION, _WORD = np.uint32(PRECISION), np.uint32(16)
-_OFFSET_MASK, _SYMBOL_MASK = WHOLE - 1, (1 << 7) - 1
+_SYMBOL_MASK = (1 << 7) - 1
 
 
 class ModelTable:

@@ -133,7 +133,8 @@ class Contents:
             raise
         # RuntimeError of members that a flipped bit makes encrypted, NotImplementedError of versions to come.
         except (zipfile.BadZipFile, zlib.error, RuntimeError, *_MISFITS, EOFError) as error:
-            reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
+            told = error.args[0] if isinstance(error, KeyError) and error.args else error
+            reason = " ".join(str(told).split()) or type(error).__name__
             raise UserError(
                 f"{self.path}: is not a transfer file, or is cut short or damaged ({reason}); precompute it again"
             ) from None
