@@ -10,6 +10,7 @@ from benchmarks.compression import compression
 from benchmarks.files import files
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
+from benchmarks.runtime import runtime
 from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.startup import startup
@@ -22,6 +23,7 @@ BENCHMARKS = {
     "files": files,
     "transport": transport,
     "relighting": relighting,
+    "runtime": runtime,
     "accuracy": accuracy,
     "paths": paths,
     "smoothing": smoothing,
