@@ -1,4 +1,4 @@
-"""Caps of a file as groups with one orthonormal basis each: as the file has them, or several in one if they are many."""
+"""Caps of a file as groups with an orthonormal basis each: as the file has them, or several as one if they are many."""
 
 from __future__ import annotations
 

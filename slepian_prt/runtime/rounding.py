@@ -12,7 +12,7 @@ LARGEST = 255
 
 
 def to_bytes(
-    coefficients: NDArray[np.float32], bits: int
+    coefficients: NDArray[np.floating], bits: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float64]]:
     """Coefficients (n, k) as parts of 255, each component over its own range.
 
