@@ -57,7 +57,7 @@ class Model:
             "bandlimit": transfer.bandlimit,
             "table": buffers.add(table.astype(np.float16).reshape(-1, 1), "planes"),
             "zeros": buffers.add(transfer.zeros.astype(np.float32)),
-            "bytes": buffers.add(transfer.bytes[chosen], "clusters"),
+            "bytes": buffers.add(transfer.vertices[chosen], "clusters"),
             "fixed": None if lamps is None else buffers.add(half, "planes"),
             "lampNames": list(self.packed.lamp_names),
             "fileError": self.packed.predicted_relit_error(),
