@@ -15,7 +15,8 @@ from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
 from slepian_prt.relighting.files.coloured_mesh import as_in_source, write_ply, write_textured_ply
 from slepian_prt.relighting.files.glb_file import write_glb
-from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh, textured_faces
+from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh
+from slepian_prt.relighting.files.surfaces import textured_faces
 from slepian_prt.relighting.files.wishes import GLB, PLY
 from slepian_prt.relighting.relight import white_radiance
 from slepian_prt.relighting.series import Series

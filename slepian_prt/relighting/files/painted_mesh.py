@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.relighting.drawing.pictures import Picture, exposure, roll_off
-from slepian_prt.scene.formats.joining import join_equal
+from slepian_prt.relighting.files.surfaces import split_surfaces, textured_faces
 from slepian_prt.scene.formats.parts import Texture
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
@@ -62,13 +62,6 @@ class PaintedMesh:
     scale: float
 
 
-def textured_faces(mesh: Mesh, detail: SurfaceDetail | None) -> NDArray[np.int64]:
-    """(F,) the texture of each face that colours can be multiplied by; -1 where metal has a texture of its own."""
-    if detail is None:
-        return np.full(len(mesh.faces), -1)
-    return np.where(detail.metallic_choice >= 0, -1, detail.choice).astype(np.int64)
-
-
 def paint_exposure(mesh: Mesh, radiance: NDArray, white: NDArray | None, detail: SurfaceDetail | None) -> float:
     """What radiance is multiplied by, so that colours are well seen.
 
@@ -110,34 +103,12 @@ def paint_mesh(
         Of it.
     """
     scale = (paint_exposure(mesh, radiance, white, detail) if scale is None else scale) * factor
-    texture = textured_faces(mesh, detail)
-    ends = np.array([part.end for part in parts])
-    of_part = np.minimum(np.searchsorted(ends, mesh.faces[:, 0], side="right"), len(parts) - 1)
-    keys, which = np.unique(np.stack([of_part, texture], axis=1), axis=0, return_inverse=True)
     pieces = []
-    for number, (part, chosen) in enumerate(keys.tolist()):
-        faces = np.flatnonzero(which.ravel() == number)
-        name = parts[part].name
-        if chosen < 0 or detail is None or white is None:
-            pieces.append(_plain_piece(name, mesh, faces, radiance * scale))
+    # Without what white surfaces would send, radiance is what there is, with the albedo of the vertices in it.
+    for surface in split_surfaces(mesh, parts, None if white is None else detail):
+        if surface.texture is None or white is None:
+            colors = roll_off(radiance[surface.vertices] * scale)
         else:
-            pieces.append(_textured_piece(name, mesh, faces, white * scale, detail, chosen))
+            colors = roll_off(white[surface.vertices] * scale) * surface.reflectance
+        pieces.append(Piece(surface.name, surface.texture, surface.vertices, surface.uv, colors, surface.faces))
     return PaintedMesh(mesh, tuple(pieces), scale)
-
-
-def _plain_piece(name: str, mesh: Mesh, faces: NDArray[np.int64], exposed: NDArray) -> Piece:
-    vertices, corners = np.unique(mesh.faces[faces], return_inverse=True)
-    return Piece(name, None, vertices.astype(np.int64), None, roll_off(exposed[vertices]), corners.reshape(-1, 3))
-
-
-def _textured_piece(
-    name: str, mesh: Mesh, faces: NDArray[np.int64], exposed: NDArray, detail: SurfaceDetail, chosen: int
-) -> Piece:
-    vertices = mesh.faces[faces].astype(np.int64).ravel()
-    uv = detail.uv[faces].reshape(-1, 2)
-    factors = (detail.colors[faces] * (1.0 - detail.metallic[faces])[:, None, None]).reshape(-1, 3)
-    first, joined = join_equal(vertices[:, None], uv, factors)
-    vertices = vertices[first]
-    # What reflects more than all light was clipped when it was precomputed.
-    colors = roll_off(exposed[vertices]) * np.clip(factors[first], 0.0, 1.0)
-    return Piece(name, detail.textures[chosen], vertices, uv[first], colors, joined.reshape(-1, 3))

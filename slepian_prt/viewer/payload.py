@@ -1,0 +1,137 @@
+"""What a page holds beside its program: geometry, transfer, lights and text, as JSON with buffers.
+
+    uint32 length of the JSON | JSON in UTF-8 | zeros to a multiple of 8 bytes | buffers
+
+`buffers` says how arrays are coded. ``page/payload.js`` reads it.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.viewer.buffers import Buffers
+from slepian_prt.viewer.drawn_mesh import DrawnMesh, texture_entry
+from slepian_prt.viewer.light_maps import PageLight
+from slepian_prt.viewer.models import Model, film_entry
+from slepian_prt.viewer.statistics import remarks, statistics
+
+VERSION = 1
+
+# The window that a page offers against ringing.
+WINDOW = "hann"
+
+_ALIGNMENT = 8
+
+
+@dataclass(frozen=True)
+class Display:
+    """How a page shows the model at first.
+
+    Attributes
+    ----------
+    background : str
+        ``map``, ``transparent`` or #rrggbb.
+    exposure : float
+        In stops.
+    scale : float or None
+        What Python's picture multiplies radiance by, under the first light.
+    """
+
+    background: str
+    exposure: float
+    scale: float | None
+
+    def entry(self) -> dict[str, Any]:
+        """What the payload says of it."""
+        return {"background": self.background, "exposure": self.exposure, "scale": self.scale}
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """All that a page shows.
+
+    Attributes
+    ----------
+    title : str
+    models : sequence of Model
+        The first is the file, a second what it is compared with.
+    drawn : sequence of DrawnMesh
+        One for each model, those of a model that is drawn on the mesh of the first are the same object; none of films.
+    lights : sequence of PageLight
+    camera : dict or None
+        As of `cameras.camera_entry`; None of films.
+    antialias : list
+        As of `cameras.antialiasing`.
+    display : Display
+    up : "y" or "z"
+    notes : sequence of str
+        Beside those that `remarks` makes.
+    """
+
+    title: str
+    models: Sequence[Model]
+    drawn: Sequence[DrawnMesh]
+    lights: Sequence[PageLight]
+    camera: dict[str, Any] | None
+    antialias: list[list[float]]
+    display: Display
+    up: str
+    notes: Sequence[str] = ()
+
+
+def make_payload(content: Content) -> bytes:
+    """The payload of a page."""
+    buffers, first = Buffers(), content.models[0].packed
+    geometries, textures, models = _geometry(buffers, content)
+    entry = {
+        "version": VERSION,
+        "title": content.title,
+        "generator": f"slepian_prt {version('slepian_prt')}",
+        "bandlimit": first.bandlimit,
+        "statistics": statistics(content.models),
+        "notes": [*remarks(first, textured=bool(textures)), *content.notes],
+        "camera": content.camera,
+        "up": content.up,
+        "antialias": content.antialias,
+        "display": content.display.entry(),
+        "lights": [light.entry(buffers) for light in content.lights],
+        "geometries": geometries,
+        "textures": textures,
+        "models": models,
+        "film": _film(buffers, first),
+        "window": {"name": WINDOW},
+    }
+    text = json.dumps(entry, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    head = struct.pack("<I", len(text)) + text
+    return head + bytes(-len(head) % _ALIGNMENT) + buffers.content()
+
+
+def _geometry(buffers: Buffers, content: Content) -> tuple[list[Any], list[Any], list[Any]]:
+    """Entries of geometries, textures and models; a mesh that several models are drawn on is there once."""
+    meshes = list({id(drawn): drawn for drawn in content.drawn}.values())
+    geometries: list[Any] = []
+    textures: list[Any] = []
+    for drawn in meshes:
+        geometries.append(drawn.entry(buffers, len(textures)))
+        textures += [texture_entry(buffers, texture) for texture in drawn.textures]
+    models = []
+    for number, model in enumerate(content.models):
+        geometry: int | None = None
+        receivers: NDArray | None = None
+        if content.drawn:
+            geometry = [id(mesh) for mesh in meshes].index(id(content.drawn[number]))
+            receivers = content.drawn[number].receivers
+        models.append(model.entry(buffers, geometry, receivers))
+    return geometries, textures, models
+
+
+def _film(buffers: Buffers, packed: CompressedTransfer) -> dict[str, Any] | None:
+    return None if packed.film is None else film_entry(buffers, packed.film)
