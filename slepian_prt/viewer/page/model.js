@@ -1,0 +1,155 @@
+/** A model of the payload as three.js meshes, whose vertices are lit in the vertex shader. */
+
+import {
+  BufferAttribute, BufferGeometry, ClampToEdgeWrapping, DataTexture, DoubleSide, FloatType, FrontSide, GLSL3, Group,
+  LinearFilter, Mesh, MirroredRepeatWrapping, NearestFilter, NoBlending, RawShaderMaterial, RepeatWrapping, RGBAFormat,
+  SRGBColorSpace, Sphere, Texture, Vector3,
+} from "three-kit";
+import { transferFragment, transferVertex, wordAttributes } from "#shaders";
+
+const WRAPS = { repeat: RepeatWrapping, clamp: ClampToEdgeWrapping, mirror: MirroredRepeatWrapping };
+
+/**
+ * What is drawn of a model, and the texture that its light is in.
+ *
+ * @typedef {object} LitModel
+ * @property {Group} group
+ * @property {DataTexture} lit - K x C, RGBA float32: what `lightFunctions` gives.
+ * @property {object} uniforms - Shared by its materials: `lit`, `used`, `lamps`.
+ */
+
+/**
+ * The ball around the vertices of geometries that are used, in the world.
+ *
+ * @param {object[]} geometries - Of the payload.
+ * @returns {{middle: Vector3, radius: number}}
+ */
+export function ballAround(geometries) {
+  const low = new Vector3(Infinity, Infinity, Infinity);
+  const high = low.clone().negate();
+  const point = new Vector3();
+  for (const { center, positions } of geometries) {
+    for (let i = 0; i < positions.length; i += 3) {
+      point.fromArray(positions, i).add({ x: center[0], y: center[1], z: center[2] });
+      low.min(point);
+      high.max(point);
+    }
+  }
+  const middle = low.clone().add(high).multiplyScalar(0.5);
+  return { middle, radius: Math.max(0.5 * low.distanceTo(high), 1e-30) };
+}
+
+/** A texture of K x C lit functions. */
+export function litTexture(model) {
+  const { functions: width, caps: height } = model;
+  const texture = new DataTexture(new Float32Array(4 * width * height), width, height, RGBAFormat, FloatType);
+  texture.minFilter = texture.magFilter = NearestFilter;
+  texture.needsUpdate = true;
+  return texture;
+}
+
+/**
+ * Bytes of all receivers as the words that the shader fetches.
+ *
+ * @param {Uint8Array} bytes - (N, K)
+ * @param {number} count - K
+ * @param {{offset: number, size: number}} part - As of `wordAttributes`.
+ * @returns {Uint32Array} (N, size)
+ */
+export function wordsOf(bytes, count, { offset, size }) {
+  const all = new Uint32Array(bytes.slice().buffer); // little-endian, as all that runs WebGL is
+  if (count === 4 * size) return all;
+  const words = new Uint32Array((all.length / (count / 4)) * size);
+  for (let from = offset, to = 0; to < words.length; from += count / 4, to += size) {
+    for (let i = 0; i < size; ++i) words[to + i] = all[from + i];
+  }
+  return words;
+}
+
+/**
+ * Build what is drawn of a model.
+ *
+ * @param {object} model - Of the payload.
+ * @param {object} geometry - Of the payload.
+ * @param {Texture[]} textures - As of `decodeTextures`.
+ * @returns {LitModel}
+ */
+export function buildModel(model, geometry, textures) {
+  const lit = litTexture(model);
+  const uniforms = { lit: { value: lit }, used: { value: model.functions }, lamps: { value: 1 } };
+  const shape = buildGeometry(model, geometry);
+  const materials = [];
+  // With a texture anywhere Python multiplies reflectance where it is seen everywhere.
+  const perPixel = geometry.uv !== null && geometry.surfaces.some(({ texture }) => texture !== null);
+  for (const surface of geometry.surfaces) {
+    shape.addGroup(3 * surface.firstFace, 3 * surface.faceCount, materials.length);
+    const image = surface.texture === null ? null : textures[surface.texture];
+    materials.push(surfaceMaterial(model, geometry, { perPixel, image, isBack: surface.back, uniforms }));
+  }
+  const mesh = new Mesh(shape, materials);
+  mesh.frustumCulled = false;
+  mesh.position.fromArray(geometry.center);
+  const group = new Group();
+  group.add(mesh);
+  return { group, lit, uniforms };
+}
+
+function buildGeometry(model, geometry) {
+  const shape = new BufferGeometry();
+  shape.setAttribute("position", new BufferAttribute(geometry.positions, 3));
+  shape.setIndex(new BufferAttribute(geometry.faces, 1));
+  for (const part of wordAttributes(model.functions)) {
+    shape.setAttribute(part.name, new BufferAttribute(wordsOf(model.bytes, model.functions, part), part.size));
+  }
+  if (geometry.reflectance) shape.setAttribute("reflectance", new BufferAttribute(geometry.reflectance, 3, true));
+  if (geometry.uv) shape.setAttribute("uv", new BufferAttribute(geometry.uv, 2));
+  if (model.fixed) shape.setAttribute("fixedRadiance", new BufferAttribute(model.fixed, 3));
+  shape.boundingSphere = new Sphere(new Vector3(), Infinity); // never asked for: three would go through all vertices
+  return shape;
+}
+
+function surfaceMaterial(model, geometry, { perPixel, image, isBack, uniforms }) {
+  const kind = {
+    count: model.functions,
+    perPixel,
+    hasTexture: image !== null,
+    hasReflectance: geometry.reflectance !== null,
+    hasFixed: model.fixed !== null,
+  };
+  const material = new RawShaderMaterial({
+    glslVersion: GLSL3,
+    vertexShader: transferVertex(kind),
+    fragmentShader: transferFragment(kind),
+    side: isBack ? FrontSide : DoubleSide,
+    blending: NoBlending,
+    uniforms: image === null ? uniforms : { ...uniforms, image: { value: image } },
+  });
+  if (isBack) {
+    // At the same places as their fronts, which hide them but for this step of the depth buffer.
+    material.polygonOffset = true;
+    material.polygonOffsetUnits = -2;
+  }
+  return material;
+}
+
+/**
+ * Decode images, filtered between texels as Python's `texture_lookup` does: linearly, without smaller copies.
+ *
+ * @param {{bytes: Uint8Array, mime: string, wrap: string[]}[]} textures
+ * @returns {Promise<Texture[]>}
+ */
+export async function decodeTextures(textures) {
+  return Promise.all(textures.map(async ({ bytes, mime, wrap }) => {
+    const image = await createImageBitmap(new Blob([bytes], { type: mime }), {
+      colorSpaceConversion: "none", premultiplyAlpha: "none", imageOrientation: "from-image",
+    });
+    const texture = new Texture(image);
+    texture.colorSpace = SRGBColorSpace;
+    texture.flipY = false; // v goes down
+    texture.generateMipmaps = false;
+    texture.minFilter = texture.magFilter = LinearFilter;
+    [texture.wrapS, texture.wrapT] = wrap.map((way) => WRAPS[way]);
+    texture.needsUpdate = true;
+    return texture;
+  }));
+}
