@@ -16,6 +16,7 @@ Transfer and relighting
     CompressedTransfer              What a .prt file holds; save, reconstruct, predicted errors.
     load                            Read a .prt file.
     relight                         Radiance at the vertices under given lighting.
+    gpu_transfer, GpuTransfer       The same for graphics hardware: 16 bytes per vertex, and what a shader does with it.
     render_picture, save_picture    Draw a model under a light, as an array or a file.
     register                        Make the integrators `slepian_prt` and `slepian_prt_capture` known to Mitsuba.
 Meshes and light

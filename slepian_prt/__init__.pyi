@@ -17,6 +17,8 @@ from .relighting.drawing.render import render_picture as render_picture
 from .relighting.drawing.render import save_picture as save_picture
 from .relighting.mitsuba.integrator import register as register
 from .relighting.relight import relight as relight
+from .runtime.gpu_transfer import GpuTransfer as GpuTransfer
+from .runtime.gpu_transfer import gpu_transfer as gpu_transfer
 from .scene.mesh import Mesh as Mesh
 from .scene.mesh import make_mesh as make_mesh
 from .scene.mesh_files import read_mesh as read_mesh

@@ -14,6 +14,7 @@ PACKAGE = Path(slepian_prt.__file__).parent
 BESIDE = ("errors", "files", "summary", "examples")
 LAYERS = (
     "sphere", "slepian", "renderer", "lighting", "scene", "paths", "transport", "compression", "relighting",
+    "runtime", "export", "viewer",
     "evaluation", "accuracy", "cli",
 )  # fmt: skip
 

@@ -17,10 +17,11 @@ from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.relighting.drawing.pixel_rays import NOTHING, OTHER, CameraRays, Corners, Seen, widened
 from slepian_prt.relighting.drawing.texture_lookup import TextureLookup
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.scene.receivers import Receivers
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part, Scene
 from slepian_prt.scene.sensors import sensor
-from slepian_prt.scene.view import Aim, aimed_view
+from slepian_prt.scene.view import Aim, View, aimed_view
 
 if TYPE_CHECKING:
     from slepian_prt.transport.transfer import Transfer
@@ -157,16 +158,25 @@ def aim_camera(scene: Scene, aim: Aim | None, width: int, *, toward_view: bool =
     aim = aim or Aim()
     if scene.sensor is not None and not aim.asked:
         return scene  # no plain perspective camera, but the scene's own
-    if toward_view and scene.view is not None and aim.look_at is not None:
-        eye = np.array(scene.view.to_world)[:3, 3]
+    view = _aimed(scene.receivers, scene.view, aim, width, toward_view)
+    return replace(scene, view=view, sensor=None)
+
+
+def relit_view(packed: Transfer | CompressedTransfer, aim: Aim | None = None, width: int | None = None) -> View:
+    """The view that `relit_camera` traces."""
+    return _aimed(packed.mesh.receivers, packed.view, aim or Aim(), width or DEFAULT_WIDTH, packed.toward_view)
+
+
+def _aimed(receivers: Receivers, own: View | None, aim: Aim, width: int, toward_view: bool) -> View:
+    if toward_view and own is not None and aim.look_at is not None:
+        eye = np.array(own.to_world)[:3, 3]
         if not np.allclose(aim.points[0], eye, rtol=1e-6, atol=1e-9):
             raise UserError(
-                f"this is light toward the camera '{scene.view.name}', which other places do not see; leave out "
+                f"this is light toward the camera '{own.name}', which other places do not see; leave out "
                 f"`look_at`, or give it the origin {', '.join(f'{x:.6g}' for x in eye)}"
             )
-    receivers = scene.receivers
     points = receivers.positions[receivers.active] if receivers.active.any() else receivers.positions
-    return replace(scene, view=aimed_view(aim, scene.view, points, width), sensor=None)
+    return aimed_view(aim, own, points, width)
 
 
 def trace_camera(

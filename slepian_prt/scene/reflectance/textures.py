@@ -57,7 +57,7 @@ class FilteredTexture:
         self._levels = [level]
         while max(level.shape[:2]) > 1:
             height, width = (_shrunk(size, 1) for size in level.shape[:2])
-            level = _averaged(level, _area_weights(level.shape[0], height), _area_weights(level.shape[1], width))
+            level = _averaged(level, area_weights(level.shape[0], height), area_weights(level.shape[1], width))
             self._levels.append(level)
 
     def mean(self, uv: NDArray, areas: NDArray) -> NDArray[np.float32]:
@@ -178,7 +178,7 @@ def _shrunk(size: int, levels: int) -> int:
     return -(-size // 2 ** min(levels, 60))
 
 
-def _area_weights(size: int, wanted: int) -> csr_array:
+def area_weights(size: int, wanted: int) -> csr_array:
     """(wanted, size) means of texels over as many equal pieces of the image as are wanted, in parts of texels."""
     edges = np.arange(wanted + 1) * (size / wanted)
     first = np.minimum(edges[:-1].astype(np.int64), size - 1)
@@ -203,7 +203,7 @@ def _first_level(codes: NDArray[np.uint8], table: NDArray, height: int, width: i
     """Linear values, means over equal pieces of the image; some rows at a time, to bound memory."""
     if (height, width) == codes.shape[:2]:
         return np.asarray(table[codes])
-    rows, columns = _area_weights(codes.shape[0], height), _area_weights(codes.shape[1], width)
+    rows, columns = area_weights(codes.shape[0], height), area_weights(codes.shape[1], width)
     each = max(1, int(_TEXELS * height / codes.size))
     result = np.empty((height, width, 3), dtype=np.float32)
     for begin in range(0, height, each):
