@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output
@@ -19,7 +19,7 @@ from slepian_prt.scene.reflectance.textures import encoded_image
 UNLIT = "KHR_materials_unlit"
 
 # Numbers of the specification: component types, targets of buffer views, ways of textures to continue.
-_COMPONENTS = {"f4": 5126, "u4": 5125, "u1": 5121}
+_COMPONENTS = {"f4": 5126, "u4": 5125, "u2": 5123, "u1": 5121}
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _VERTICES, _INDICES = 34962, 34963
 _WRAPS = {"repeat": 10497, "clamp": 33071, "mirror": 33648}
@@ -48,7 +48,7 @@ class GltfDocument:
     def __init__(self) -> None:
         self.lists: dict[str, list[dict[str, Any]]] = {}
         self.binary = bytearray()
-        self._materials: dict[int, tuple[Texture | None, int]] = {}
+        self._textures: dict[int, tuple[Texture, int]] = {}
 
     def add(self, name: str, entry: dict[str, Any]) -> int:
         """Append to a list; its number there."""
@@ -64,7 +64,7 @@ class GltfDocument:
         return self.add("bufferViews", entry if target is None else {**entry, "target": target})
 
     def add_attribute(self, values: NDArray, **more: Any) -> int:
-        """An accessor of (n, k) float32 or uint8 numbers of vertices, k from 1 to 4; ``more`` of its properties."""
+        """An accessor of (n, k) float32, uint16 or uint8 numbers of vertices, k from 1 to 4; ``more`` of its properties."""
         return self._add_accessor(values, _VERTICES, more)
 
     def add_indices(self, faces: NDArray) -> int:
@@ -79,22 +79,29 @@ class GltfDocument:
         sampler = {"wrapS": across, "wrapT": along, "magFilter": magnified, "minFilter": minified}
         return self.add("textures", {"source": image, "sampler": self.add("samplers", sampler)})
 
-    def add_material(self, texture: Texture | None) -> int:
-        """A material that shows a texture times ``COLOR_0``, and no light of the viewer; one for each texture.
-
-        It is single-sided, as light is.
-        """
-        if id(texture) not in self._materials:
-            surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
-            if texture is not None:
-                content, suffix = encoded_image(texture)
-                mime = "image/png" if suffix == ".png" else "image/jpeg"
-                number = self.add_image(content, mime, texture.wrap, (LINEAR, _MIPMAPS))
-                surface["baseColorTexture"] = {"index": number}
-            material = {"pbrMetallicRoughness": surface, "extensions": {UNLIT: {}}, "doubleSided": False}
+    def add_texture(self, texture: Texture) -> int:
+        """A texture of a surface; each once."""
+        if id(texture) not in self._textures:
+            content, suffix = encoded_image(texture)
+            mime = "image/png" if suffix == ".png" else "image/jpeg"
             # With the texture, so that no other one gets its address.
-            self._materials[id(texture)] = texture, self.add("materials", material)
-        return self._materials[id(texture)][1]
+            self._textures[id(texture)] = texture, self.add_image(content, mime, texture.wrap, (LINEAR, _MIPMAPS))
+        return self._textures[id(texture)][1]
+
+    def add_material(self, texture: Texture | None, color: ArrayLike = (1.0, 1.0, 1.0), **more: Any) -> int:
+        """A material that shows a texture times a linear colour and ``COLOR_0``, and no light of the viewer; each once.
+
+        It is single-sided, as light is. ``more`` of its properties.
+        """
+        surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        factor = np.asarray(color, dtype=np.float64)
+        if np.any(factor != 1.0):
+            surface["baseColorFactor"] = [*factor.tolist(), 1.0]
+        if texture is not None:
+            surface["baseColorTexture"] = {"index": self.add_texture(texture)}
+        material = {"pbrMetallicRoughness": surface, "extensions": {UNLIT: {}}, "doubleSided": False, **more}
+        known = self.lists.get("materials", [])
+        return known.index(material) if material in known else self.add("materials", material)
 
     def write(self, path: str | Path, roots: list[int], up: str = "y", more: Mapping[str, Any] | None = None) -> None:
         """Write the file, complete or not at all.
