@@ -8,6 +8,8 @@ from .evaluation.drawing import plot_errors as plot_errors
 from .evaluation.drawing import plot_picture as plot_picture
 from .evaluation.drawing import plot_spectrum as plot_spectrum
 from .examples import example as example
+from .export.model import Exported as Exported
+from .export.model import export_model as export_model
 from .lighting.environment import Environment as Environment
 from .lighting.environment import read_environment as read_environment
 from .lighting.projection import project_environment as project_environment

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.relighting.files.baked_textures import BakedTexture, bake_texture
 from slepian_prt.relighting.mitsuba.shape_matching import mesh_faces
+from slepian_prt.relighting.source import locate_source
 from slepian_prt.renderer.shape_names import shape_name
 from slepian_prt.scene.face_matching import ROUNDED, match_faces
 from slepian_prt.scene.formats.parts import Texture
@@ -49,6 +52,37 @@ class _Baker:
                 made = front
             self._made[key] = bsdf, made  # with the BSDF, so that no other one gets its address
         return self._made[key][1]
+
+
+def source_detail(
+    mi: Any,
+    packed: CompressedTransfer,
+    scene: str | Path | None,
+    file: str | Path | None,
+    report: Callable[[str], None],
+) -> SurfaceDetail | None:
+    """The textures of what a transfer file was made from, where that can be found; None without any.
+
+    Parameters
+    ----------
+    mi : Mitsuba, in an RGB variant
+    packed : CompressedTransfer
+    scene : path, optional
+        What it was made from, if that is not where it was.
+    file : path, optional
+        Of the transfer: its source is looked for beside it.
+    report : callable
+        Given a line about each thing worth knowing.
+
+    Raises
+    ------
+    UserError
+        The scene is named and cannot be used.
+    """
+    source = locate_source(mi, packed, scene, file, report)
+    if source.scene is None or source.origin is None:
+        return source.detail
+    return bitmap_detail(mi, source.scene, source.origin, packed.mesh, packed.parts, report)
 
 
 def bitmap_detail(

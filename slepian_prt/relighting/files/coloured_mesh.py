@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -38,24 +39,32 @@ class TextureOf(NamedTuple):
     uv: NDArray[np.float64]
 
 
-def write_ply(path: str | Path, mesh: Mesh, colours: NDArray[np.uint8], texture: TextureOf | None = None) -> None:
-    """Write a mesh with normals and sRGB colours (V, 3), complete or not at all.
+def write_ply(
+    path: str | Path,
+    mesh: Mesh,
+    colours: NDArray[np.uint8],
+    texture: TextureOf | None = None,
+    properties: Mapping[str, NDArray] | None = None,
+) -> None:
+    """Write a mesh with normals, sRGB colours (V, 3) and other properties (V,) of floats, complete or not at all.
 
     Positions are float, or double where float would move them by more than a millionth of the model's size. Texture
     coordinates are ``s`` and ``t``, which Blender, trimesh, Mitsuba and PyMeshLab read.
     """
+    more = properties or {}
     real = "f4" if fits_float32(mesh) else "f8"
     kinds = {
         **dict.fromkeys(("x", "y", "z"), real),
         **dict.fromkeys(("nx", "ny", "nz"), "f4"),
         **dict.fromkeys(("red", "green", "blue", "alpha"), "u1"),
         **dict.fromkeys(("s", "t") if texture else (), "f4"),
+        **dict.fromkeys(more, "f4"),
     }
     vertices = np.empty(len(mesh.positions), dtype=[(name, f"<{kind}") for name, kind in kinds.items()])
     columns = np.hstack([mesh.positions, mesh.normals, colours, np.full((len(colours), 1), 255)])
     if texture:
         columns = np.hstack([columns, texture.uv])
-    for name, values in zip(kinds, columns.T, strict=True):
+    for name, values in zip(kinds, [*columns.T, *more.values()], strict=True):
         vertices[name] = values
     faces = np.empty(len(mesh.faces), dtype=[("corners", "u1"), ("indices", "<i4", 3)])
     faces["corners"], faces["indices"] = 3, mesh.faces
@@ -76,14 +85,14 @@ def write_ply(path: str | Path, mesh: Mesh, colours: NDArray[np.uint8], texture:
         file.write(faces.tobytes())
 
 
-def as_in_source(mesh: Mesh, colours: NDArray[np.uint8]) -> tuple[Mesh, NDArray[np.uint8]]:
-    """A mesh and its colours with the vertices of the file that it was read from, in their order.
+def as_in_source(mesh: Mesh, values: NDArray) -> tuple[Mesh, NDArray]:
+    """A mesh and numbers (V, k) of its vertices with the vertices of the file that it was read from, in their order.
 
-    Of vertices that were split, normal and colour are the mean; those that were left out are at the origin, and no face
-    uses them.
+    Of vertices that were split, normal and numbers are the mean; those that were left out are at the origin, and no
+    face uses them.
     """
     if mesh.source is None:
-        return mesh, colours
+        return mesh, values
     before, now = mesh.source.T
     count = int(before.max()) + 1
     copies = np.maximum(np.bincount(before, minlength=count), 1)[:, None]
@@ -106,7 +115,7 @@ def as_in_source(mesh: Mesh, colours: NDArray[np.uint8]) -> tuple[Mesh, NDArray[
         albedo=mean(mesh.albedo).astype(np.float32),
         source=None,
     )
-    return own, np.rint(mean(colours)).astype(np.uint8)
+    return own, mean(values)
 
 
 def write_textured_ply(path: str | Path, painted: PaintedMesh, folder: str | Path | None = None) -> None:

@@ -64,7 +64,7 @@ class GltfDocument:
         return self.add("bufferViews", entry if target is None else {**entry, "target": target})
 
     def add_attribute(self, values: NDArray, **more: Any) -> int:
-        """An accessor of (n, k) float32, uint16 or uint8 numbers of vertices, k from 1 to 4; ``more`` of its properties."""
+        """An accessor of (n, k) float32, uint16 or uint8 numbers, k from 1 to 4; ``more`` of its properties."""
         return self._add_accessor(values, _VERTICES, more)
 
     def add_indices(self, faces: NDArray) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.relighting.drawing.pictures import Picture, exposure, to_srgb
-from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
+from slepian_prt.relighting.files.bitmap_detail import source_detail
 from slepian_prt.relighting.files.coloured_mesh import as_in_source, write_ply, write_textured_ply
 from slepian_prt.relighting.files.glb_file import write_glb
 from slepian_prt.relighting.files.painted_mesh import paint_exposure, paint_mesh
@@ -20,7 +20,6 @@ from slepian_prt.relighting.files.surfaces import textured_faces
 from slepian_prt.relighting.files.wishes import GLB, PLY
 from slepian_prt.relighting.relight import white_radiance
 from slepian_prt.relighting.series import Series
-from slepian_prt.relighting.source import locate_source
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
@@ -35,7 +34,8 @@ def write_coloured_mesh(
     """
     vertices = Picture(radiance[None].astype(np.float32), mesh.receivers.active[None].astype(np.float32))
     scale = (exposure(vertices) if scale is None else scale) * factor
-    write_ply(path, *as_in_source(mesh, to_srgb(vertices, scale)[0]))
+    own, colours = as_in_source(mesh, to_srgb(vertices, scale)[0])
+    write_ply(path, own, np.rint(colours).astype(np.uint8))
     return scale
 
 
@@ -130,10 +130,7 @@ def make_canvas(
     UserError
         The scene is named and cannot be used.
     """
-    source = locate_source(mi, packed, wish.scene, file, report)
-    detail = source.detail
-    if source.scene is not None and source.origin is not None:
-        detail = bitmap_detail(mi, source.scene, source.origin, packed.mesh, packed.parts, report)
+    detail = source_detail(mi, packed, wish.scene, file, report)
     if detail is not None and wish.suffix == PLY and np.ptp(textured_faces(packed.mesh, detail)) > 0:
         report(
             ".ply holds one texture for the whole of a model, so that these are colours of vertices; .glb holds them"

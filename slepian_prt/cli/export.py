@@ -1,0 +1,80 @@
+"""``slepian-prt export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from slepian_prt.cli.messages import note, say
+from slepian_prt.cli.options import clamp_option, file_argument, output_option, rotate_option
+from slepian_prt.cli.values import Names, read_maps, read_transfer
+
+if TYPE_CHECKING:
+    from slepian_prt.export.model import Exported
+
+
+@click.command()
+@file_argument
+@click.option(
+    "--as",
+    "what",
+    type=Names("what"),
+    default="transfer",
+    show_default=True,
+    help="Transfer, for a shader that relights it; or what engines have a place for, with its loss.",
+)
+@click.option(
+    "--functions", type=int, metavar="K", help="Bytes per vertex of transfer: 8, 16, 24 or 32.  [default: 16]"
+)
+@click.option(
+    "--attributes",
+    type=Names("attributes"),
+    help="How those are carried: float for Blender, texture for what keeps only texture coordinates.  [default: bytes]",
+)
+@click.option(
+    "--environment", multiple=True, type=click.Path(), help="Map to tell the loss under; may be given several times."
+)
+@rotate_option
+@clamp_option
+@click.option("--scene", type=click.Path(), metavar="PATH", help="What FILE was made from: its textures are written.")
+@click.option("--up", type=click.Choice(["y", "z"]), default="y", show_default=True, help="What is up in the model.")
+@output_option("Where to write: .glb, or .ply for all but transfer.")
+def export(
+    file: str,
+    what: str,
+    functions: int | None,
+    attributes: str | None,
+    environment: tuple[str, ...],
+    rotate: float,
+    clamp_negative: bool,
+    scene: str | None,
+    up: str,
+    output: str,
+) -> None:
+    """Export a transfer FILE for engines: a model to be relit by a shader (.glb), or ambient occlusion and the like."""
+    from slepian_prt.export.kinds import check_export
+    from slepian_prt.export.model import export_model
+    from slepian_prt.lighting.projection import project_environment
+    from slepian_prt.relighting.files.wishes import check_source
+
+    check_export(output, what, functions, attributes, [file, *environment, *([scene] if scene else [])])
+    packed = read_transfer(file)
+    check_source(output, packed, file)
+    maps = read_maps(environment, clamp_negative, rotate, up)
+    lights = {Path(light.name).name: project_environment(light, packed.bandlimit) for light in maps}
+    exported = export_model(
+        packed, output, what, functions=functions, attributes=attributes, lights=lights, scene=scene, up=up, file=file,
+        report=note,
+    )  # fmt: skip
+    say(f"{output}: {exported.vertices} vertices {_told(exported, what)}")
+
+
+def _told(exported: Exported, what: str) -> str:
+    """What it costs."""
+    measured = "".join(f", {error:.2%} under {name}" for name, error in exported.measured.items())
+    return (
+        f"as {what}, which costs {exported.error:.2%} of radiance here{measured}; {exported.relit_error:.2%} with what the "
+        "file lost"
+    )

@@ -1,0 +1,133 @@
+"""Models for engines: with all of their transfer, or with the part of it that engines have a place for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from numpy.typing import NDArray
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import check_choice
+from slepian_prt.export.kinds import FUNCTIONS, PLY, TRANSFER, check_export, check_exportable
+from slepian_prt.relighting.files.surfaces import Surface, split_surfaces
+from slepian_prt.scene.view import UPS
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an exported model is, and what it lost.
+
+    Attributes
+    ----------
+    path : Path
+    vertices : int
+        Of the transfer.
+    error : float
+        Relative RMS error of radiance that the export adds, under light that falls as 1/(l+1)², averaged over its
+        rotations.
+    relit_error : float
+        Together with what the file lost.
+    measured : dict of str to float
+        What the export adds under the lights that were named.
+    """
+
+    path: Path
+    vertices: int
+    error: float
+    relit_error: float
+    measured: dict[str, float]
+
+
+def export_model(
+    packed: CompressedTransfer,
+    path: str | Path,
+    what: str = TRANSFER,
+    *,
+    functions: int | None = None,
+    attributes: str | None = None,
+    lights: Mapping[str, NDArray] | None = None,
+    scene: str | Path | None = None,
+    up: str = "y",
+    file: str | Path = "",
+    report: Callable[[str], None] = lambda _: None,
+) -> Exported:
+    """Write a model that engines relight, or shade with what they have a place for.
+
+    Parameters
+    ----------
+    packed : CompressedTransfer
+    path : path
+        ``.glb``; all but transfer may be ``.ply`` too.
+    what : "transfer", "occlusion", "bent-normals", "sky-visibility" or "l1"
+        Transfer in the run-time format, for shaders of one's own. Or, for what engines have: radiance of white vertices
+        under a constant light of 1; where unblocked light comes from; the visibility of the sky as probe volumes of
+        Unity hold it; transfer of degree 0 and 1.
+    functions : int, optional
+        Bytes per vertex of the run-time format, see `gpu_transfer`; by default 16.
+    attributes : "bytes", "float" or "texture", optional
+        How they are carried: as four bytes in each of the attributes ``_CUSTOM0`` and on, by default; as floats, for
+        Blender, which takes bytes for colours; or in an image, for what keeps texture coordinates alone.
+    lights : dict of str to (3, (L+1)²), optional
+        Under which the loss is told too.
+    scene : path, optional
+        What the transfer was made from, whose textures are wanted, if that is not where it was.
+    up : "y" or "z"
+        What is up in the model; a node puts it upright.
+    file : path, optional
+        Of the transfer: what it was made from is looked for beside it.
+    report : callable, optional
+        Given a line about each thing worth knowing.
+
+    Raises
+    ------
+    UserError
+        Another kind of file, transfer that has no place in an engine, or a file that cannot be written.
+    """
+    check_export(path, what, functions, attributes)
+    check_choice(up, "up", UPS)
+    check_exportable(packed, what, file)
+    lights = lights or {}
+    if what == TRANSFER:
+        return _export_transfer(packed, path, functions, attributes, lights, _surfaces(packed, scene, file, report), up)
+    from slepian_prt.export.ambient import ambient_part
+    from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
+
+    ambient = ambient_part(packed, what, lights)
+    if Path(path).suffix.lower() == PLY:
+        write_ambient_ply(path, packed, ambient, what)
+    else:
+        write_ambient_glb(path, packed, ambient, what, _surfaces(packed, scene, file, report), up)
+    error = ambient.error()
+    relit = (error**2 + packed.predicted_relit_error() ** 2) ** 0.5
+    return Exported(Path(path), packed.vertex_count, error, relit, ambient.measured)
+
+
+def _export_transfer(
+    packed: CompressedTransfer,
+    path: str | Path,
+    functions: int | None,
+    attributes: str | None,
+    lights: Mapping[str, NDArray],
+    surfaces: tuple[Surface, ...],
+    up: str,
+) -> Exported:
+    from slepian_prt.export.transfer_glb import write_transfer_glb
+    from slepian_prt.runtime.gpu_transfer import gpu_transfer
+
+    gpu = gpu_transfer(packed, FUNCTIONS if functions is None else functions)
+    write_transfer_glb(path, packed, gpu, surfaces, attributes or "bytes", up)
+    measured = {name: gpu.error(light) for name, light in lights.items()}
+    return Exported(Path(path), packed.vertex_count, gpu.error(), gpu.relit_error(), measured)
+
+
+def _surfaces(
+    packed: CompressedTransfer, scene: str | Path | None, file: str | Path, report: Callable[[str], None]
+) -> tuple[Surface, ...]:
+    """The surfaces of the model, with the textures of what it was made from."""
+    from slepian_prt.relighting.files.bitmap_detail import source_detail
+    from slepian_prt.renderer.variants import mitsuba
+
+    with mitsuba() as mi:
+        return split_surfaces(packed.mesh, packed.parts, source_detail(mi, packed, scene, file or None, report))
