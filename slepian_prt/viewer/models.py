@@ -66,9 +66,7 @@ class Model:
         }
 
 
-def lamp_radiance(
-    packed: CompressedTransfer, fixed_lights: float | Mapping[str, float]
-) -> NDArray[np.float32] | None:
+def lamp_radiance(packed: CompressedTransfer, fixed_lights: float | Mapping[str, float]) -> NDArray[np.float32] | None:
     """(V, 3) what the lamps of the scene send to receivers of unit albedo; None where they are dark."""
     scales = lamp_scales(packed.fixed, fixed_lights)
     return packed.fixed.radiance(scales) if packed.fixed is not None and scales.any() else None

@@ -15,9 +15,6 @@ from slepian_prt.viewer.models import Model
 # A title, and pairs of a label and what is said of it.
 Section = list[str | list[list[str]]]
 
-# Bytes of the page itself are known when it is made; its program puts them here.
-PAGE_BYTES = "page"
-
 
 def statistics(models: Sequence[Model]) -> list[Section]:
     """Sections of text about the models of a page, the first at length."""

@@ -17,7 +17,9 @@ import { inPieces } from "#tasks";
  */
 export async function readExr(bytes, anyShape) {
   const parts = readHeaders(bytes), layer = chooseLayer(parts), part = parts[layer.part];
-  if (part.cube) throw new MapError("is an environment map as the six faces of a cube; convert it to latitude-longitude");
+  if (part.cube) {
+    throw new MapError("is an environment map as the six faces of a cube; convert it to latitude-longitude");
+  }
   checkSize(part.data.width, part.data.height);
   checkShape(part.display.width, part.display.height, anyShape);
   checkLoadable(part, layer.channels);
@@ -31,9 +33,11 @@ function checkLoadable({ compression, channels }, chosen) {
   const others = channels.filter(channel => !chosen.includes(channel));
   const alike = list => new Set(list.map(({ kind }) => kind)).size <= 1;
   const remedy = "write it again with R, G and B alone, compressed as ZIP";
-  const beside = `holds channels beside its colours (${others.map(({ name }) => name).join(", ")}) that pages cannot tell `
-    + `from them in ${compression}; ${remedy}`;
-  if (/HTJ2K|of kind/.test(compression)) throw new MapError(`its compression (${compression}) is not read in pages; ${remedy}`);
+  const beside = `holds channels beside its colours (${others.map(({ name }) => name).join(", ")}) that pages cannot `
+    + `tell from them in ${compression}; ${remedy}`;
+  if (/HTJ2K|of kind/.test(compression)) {
+    throw new MapError(`its compression (${compression}) is not read in pages; ${remedy}`);
+  }
   if (!alike(chosen)) throw new MapError(`its colours are of different types; ${remedy}`);
   if (others.some(({ sampling }) => sampling[0] !== 1 || sampling[1] !== 1)) throw new MapError(beside);
   // In these the loader takes all channels for one type, or knows no integers.
