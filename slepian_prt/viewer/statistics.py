@@ -34,9 +34,9 @@ def statistics(models: Sequence[Model]) -> list[Section]:
 def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     """What the page does not draw as the scene has it."""
     said = [f"Repaired in the mesh: {note}." for note in packed.notes]
-    lacking = missing_in_picture(packed)
+    lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith("texture between"))]
     if lacking and packed.film is None:
-        said.append(f"Drawn plainly, without what the file does not hold: {', '.join(lacking)}.")
+        said.append(f"Drawn plainly, without what the file does not hold: {'; '.join(lacking)}.")
     if packed.toward_view and packed.view is not None:
         said.append(
             f"This is light toward the camera '{packed.view.name}', which other places do not see: it is drawn from "

@@ -44,7 +44,7 @@ def test_transfer_toward_a_camera_has_no_place_in_an_engine(tmp_path, packed):
 
 def test_pixels_of_a_camera_are_no_model():
     picture = SimpleNamespace(film_outline=object(), name="pixels")
-    with pytest.raises(UserError, match=r"^x\.prt: holds the pixels of a camera, which are no model; `slepian-prt view`"):
+    with pytest.raises(UserError, match=r"^x\.prt: holds the pixels of a camera, which are no model; `slep"):
         check_exportable(picture, "transfer", "x.prt")
 
 
