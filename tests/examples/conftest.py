@@ -40,13 +40,18 @@ def case(tmp_path_factory) -> Case:
     ball = bumpy(3)
     mesh = make_mesh(ball.positions, ball.faces, albedo=0.5 + 0.4 * np.sin(3.0 * ball.positions), name="ball")
     packed = compress(precompute(mesh, bandlimit=5, samples=64, effects="direct"), tolerance=0.05, clusters=24)
-    u = 2.0 * np.pi * (np.arange(WIDTH) + 0.5) / WIDTH
-    v = np.pi * np.arange(WIDTH // 2) / (WIDTH // 2 - 1)
-    x, y, z = np.sin(v)[:, None] * np.sin(u), np.cos(v)[:, None] + 0.0 * u, -np.sin(v)[:, None] * np.cos(u)
-    texels = np.stack([1.2 + x + 0.5 * y, 1.0 + 0.9 * z * y, 0.4 + (y + 0.3 * x) ** 2], axis=-1).astype(np.float32)
+    texels = texels_of(np.arange(WIDTH // 2) / (WIDTH // 2 - 1))
     path = tmp_path_factory.mktemp("map") / "map.hdr"
     path.write_bytes(radiance_hdr(texels))
     return Case(packed, texels, path)
+
+
+def texels_of(rows: np.ndarray) -> np.ndarray:
+    """(H, W, 3) of the map whose rows are at those parts of the way from the top to the bottom."""
+    u = 2.0 * np.pi * (np.arange(WIDTH) + 0.5) / WIDTH
+    v = np.pi * rows
+    x, y, z = np.sin(v)[:, None] * np.sin(u), np.cos(v)[:, None] + 0.0 * u, -np.sin(v)[:, None] * np.cos(u)
+    return np.stack([1.2 + x + 0.5 * y, 1.0 + 0.9 * z * y, 0.4 + (y + 0.3 * x) ** 2], axis=-1).astype(np.float32)
 
 
 def radiance_hdr(texels: np.ndarray) -> bytes:

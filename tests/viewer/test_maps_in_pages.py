@@ -255,22 +255,22 @@ def test_damage_is_told_in_a_line(kind, texels, tmp_path, modules, rng):
 def test_a_thread_decodes_and_where_there_is_none_the_page(texels, tmp_path, modules):
     body = """
     const { readMap } = await import("#maps"), kept = Worker;
-    let made = 0;
+    let decoded = 0;
     globalThis.Worker = class extends kept {
       constructor(url, options) {
         if (!allowed) throw new DOMException("pages from a disk may not", "SecurityError");
         super(url, options);
-        made++;
+        this.addEventListener("message", ({ data }) => { decoded += data.texels ? 1 : 0; });
       }
     };
     const map = await readMap("map.exr", bytes.slice().buffer).finally(() => { globalThis.Worker = kept; });
-    return [map.data, made];
+    return [map.data, decoded];
     """
     path = write(tmp_path / "map.exr", (header(), colours(texels)))
     for allowed in (True, False):
-        found, made = modules.run(body, bytes=path.read_bytes(), allowed=allowed)
+        found, decoded = modules.run(body, bytes=path.read_bytes(), allowed=allowed)
         assert_exact(found, texels.ravel(), because="a copy")
-        assert made == allowed
+        assert decoded == allowed
 
 
 # --- Radiance and portable float maps --------------------------------------------------------------------------------
