@@ -17,7 +17,9 @@ import { inPieces } from "#tasks";
  */
 export async function readExr(bytes, anyShape) {
   const parts = readHeaders(bytes), layer = chooseLayer(parts), part = parts[layer.part];
-  if (part.cube) throw new MapError("is an environment map as the six faces of a cube; convert it to latitude-longitude");
+  if (part.cube) {
+    throw new MapError("is an environment map as the six faces of a cube; convert it to latitude-longitude");
+  }
   checkSize(part.data.width, part.data.height);
   checkShape(part.display.width, part.display.height, anyShape);
   checkLoadable(part, layer.channels);
@@ -31,9 +33,11 @@ function checkLoadable({ compression, channels }, chosen) {
   const others = channels.filter(channel => !chosen.includes(channel));
   const alike = list => new Set(list.map(({ kind }) => kind)).size <= 1;
   const remedy = "write it again with R, G and B alone, compressed as ZIP";
-  const beside = `holds channels beside its colours (${others.map(({ name }) => name).join(", ")}) that pages cannot tell `
-    + `from them in ${compression}; ${remedy}`;
-  if (/HTJ2K|of kind/.test(compression)) throw new MapError(`its compression (${compression}) is not read in pages; ${remedy}`);
+  const beside = `holds channels beside its colours (${others.map(({ name }) => name).join(", ")}) that pages cannot `
+    + `tell from them in ${compression}; ${remedy}`;
+  if (/HTJ2K|of kind/.test(compression)) {
+    throw new MapError(`its compression (${compression}) is not read in pages; ${remedy}`);
+  }
   if (!alike(chosen)) throw new MapError(`its colours are of different types; ${remedy}`);
   if (others.some(({ sampling }) => sampling[0] !== 1 || sampling[1] !== 1)) throw new MapError(beside);
   // In these the loader takes all channels for one type, or knows no integers.
@@ -69,11 +73,10 @@ async function placeInDisplay(stored, { data: window, display }, convert) {
 }
 
 // Decoding takes up to seconds and cannot be interrupted: it goes to a thread of its own.
-const WORKER = kit => `
-  import { EXRLoader, FloatType } from ${JSON.stringify(kit)};
+const WORKER = `
   onmessage = ({ data: file }) => {
     try {
-      const { data } = new EXRLoader().setDataType(FloatType).parse(file.buffer);
+      const { data } = new kit.EXRLoader().setDataType(kit.FloatType).parse(file.buffer);
       postMessage({ texels: data }, [data.buffer]);
     } catch {
       postMessage({ damaged: true });
@@ -98,18 +101,24 @@ async function decode(file) {
 
 /** A worker that is ready; null where a browser gives pages from a disk none. */
 async function startWorker() {
-  const url = URL.createObjectURL(new Blob([WORKER(import.meta.resolve("three-kit"))], { type: "text/javascript" }));
   try {
-    const worker = new Worker(url, { type: "module" });
+    const url = URL.createObjectURL(new Blob([await kitAsScript(), WORKER], { type: "text/javascript" }));
+    const worker = new Worker(url);
     return await new Promise(resolve => {
       worker.onmessage = () => resolve(worker);
       worker.onerror = () => resolve(null);
-    });
+    }).finally(() => URL.revokeObjectURL(url));
   } catch {
     return null;
-  } finally {
-    URL.revokeObjectURL(url);
   }
+}
+
+/** The vendored module as a script with a constant `kit`: workers of pages from a disk may not be modules. */
+async function kitAsScript() {
+  const source = await (await fetch(import.meta.resolve("three-kit"))).text();
+  return source.replace(/export\s*\{([^}]*)\};?\s*$/, (_, names) => {
+    return `const kit = {${names.replace(/([\w$]+) as ([\w$]+)/g, "$2: $1")}};`;
+  });
 }
 
 async function decodeHere(file) {

@@ -51,6 +51,7 @@ function readHeader(bytes, flags, cursor) {
   }
   cursor.at += 1;
   const text = name => new TextDecoder().decode(attributes[name] ?? new Uint8Array());
+  const floats = value => Array.from({ length: value.length / 4 }, (_, i) => viewOf(value).getFloat32(4 * i, true));
   const type = text("type"), { chromaticities, chunkCount, tiles } = attributes;
   return {
     name: text("name"),
@@ -63,7 +64,7 @@ function readHeader(bytes, flags, cursor) {
     channels: readChannels(attributes.channels),
     data: readWindow(attributes.dataWindow),
     display: readWindow(attributes.displayWindow),
-    chromaticities: chromaticities ? Array.from({ length: 8 }, (_, i) => viewOf(chromaticities).getFloat32(4 * i, true)) : null,
+    chromaticities: chromaticities ? floats(chromaticities) : null,
     tiles: tiles ? [viewOf(tiles).getUint32(0, true), viewOf(tiles).getUint32(4, true)] : null,
     several: Boolean(flags & SEVERAL),
     chunks: chunkCount ? viewOf(chunkCount).getInt32(0, true) : 0,
@@ -163,7 +164,7 @@ function writeHeader(part, chosen) {
   attribute("channels", "chlist", size);
   part.channels.forEach(({ kind, sampling }, i) => {
     word(names[i]);
-    put("setInt32", kind === "half" ? 1 : 2, 0, ...sampling); // the loader takes integers for nothing, as floats for four bytes
+    put("setInt32", kind === "half" ? 1 : 2, 0, ...sampling); // integers, which the loader counts as nothing, as floats
   });
   written.push(0);
   attribute("compression", "compression", 1);
@@ -181,7 +182,7 @@ function writeHeader(part, chosen) {
   return new Uint8Array(written);
 }
 
-/** R, G, B or Y for what is chosen; for others a name that is none, with the last word, by which DWA knows its coding. */
+/** R, G, B or Y for what is chosen; for others a name that the loader passes over, ending in what DWA goes by. */
 function nameForLoader(channel, i, chosen) {
   const place = chosen.indexOf(channel);
   if (place >= 0) return chosen.length === 3 ? "RGB"[place] : "Y";

@@ -10,10 +10,10 @@ const BEAUTY = words("beauty c ci color colour combined composite default final 
 // Words of names that are not the whole light: its parts, and what is no light.
 const OTHER = words(`albedo alpha ao aov base basecolor bump coat clearcoat coverage debug denoising depth diffuse diff
   direct displacement emission emissive emit flow fog fresnel fuzz gi gloss glossy heat id ids index indirect material
-  mask masks matte mattes metallic metalness mist motion n noise noisy normal normals object objects occlusion opacity p
-  pos position positions pref reflection reflections refraction refractions roughness samples scatter scattering
-  selfillum shadow shadows sheen spec specular ss sss st subsurface thickness trans transmission transmissive transmit uv
-  uvs variance vec vector vectors velocity volume z zdepth`);
+  mask masks matte mattes metallic metalness mist motion n noise noisy normal normals object objects occlusion opacity
+  p pos position positions pref reflection reflections refraction refractions roughness samples scatter scattering
+  selfillum shadow shadows sheen spec specular ss sss st subsurface thickness trans transmission transmissive transmit
+  uv uvs variance vec vector vectors velocity volume z zdepth`);
 
 // Words that tell nothing.
 const NEUTRAL = words("layer left pass view");
@@ -40,8 +40,8 @@ export function chooseLayer(parts) {
   const others = images.filter(layer => layer.otherView === images[0].otherView);
   if (best.length > 1 || (isOther(images[0]) && others.length > 1)) {
     const listed = images.map(layer => layer.label).join(", ");
-    throw new MapError(`holds several images, and their names do not tell which is the light: ${listed}; keep the one that `
-      + "is, or name it beauty");
+    throw new MapError(`holds several images, and their names do not tell which is the light: ${listed}; keep the `
+      + "one that is, or name it beauty");
   }
   const [chosen] = best;
   if (chosen.channels.some(({ sampling }) => sampling[0] !== 1 || sampling[1] !== 1)) {
@@ -67,8 +67,9 @@ function layersOf(part, number, several) {
   const found = [];
   for (const [layer, group] of [...groups].sort(([a], [b]) => (a < b ? -1 : 1))) {
     let channels;
-    if (["R", "G", "B"].every(component => group.has(component))) channels = ["R", "G", "B"].map(c => group.get(c));
-    else if (group.has("Y") && !["X", "Z", "RY", "BY"].some(component => group.has(component))) channels = [group.get("Y")];
+    const has = component => group.has(component);
+    if (["R", "G", "B"].every(has)) channels = ["R", "G", "B"].map(component => group.get(component));
+    else if (has("Y") && !["X", "Z", "RY", "BY"].some(has)) channels = [group.get("Y")];
     else continue;
     if (channels.some(channel => channel.kind === "uint")) continue; // numbers of objects, not colours
     let label = layer ? `layer ${layer}` : several ? "" : channels.map(({ name }) => name).join(", ");

@@ -181,7 +181,9 @@ export const WINDOWS = ["hann", "lanczos"];
  */
 export function windowFactors(name, bandlimit, width) {
   if (!WINDOWS.includes(name)) throw new Error(`window must be one of ${WINDOWS.join(", ")}, not ${name}`);
-  if (!(width > 0 && width < Infinity)) throw new Error(`width of the window must be larger than 0 degrees, not ${width}`);
+  if (!(width > 0 && width < Infinity)) {
+    throw new Error(`width of the window must be larger than 0 degrees, not ${width}`);
+  }
   return Float64Array.from({ length: bandlimit + 1 }, (_, l) => {
     if (l >= width) return 0;
     const x = (Math.PI * l) / width;

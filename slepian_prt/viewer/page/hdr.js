@@ -111,8 +111,8 @@ function texelWriter({ toRadiance: m, width }, data) {
 /** Fills a scanline of texels of four bytes; returns the position after it. */
 function readScanline(bytes, at, line, number) {
   const length = line.length / 4;
-  const coded = bytes[at] === 2 && bytes[at + 1] === 2 && bytes[at + 2] < 128 && length >= SHORTEST && length <= LONGEST;
-  if (!coded) return readByTexel(bytes, at, line);
+  const marked = bytes[at] === 2 && bytes[at + 1] === 2 && bytes[at + 2] < 128;
+  if (!marked || length < SHORTEST || length > LONGEST) return readByTexel(bytes, at, line);
   const said = (bytes[at + 2] << 8) | bytes[at + 3];
   if (said !== length) throw new Error(`its scanline ${number} is ${said} texels long, not ${length}`);
   return readByComponent(bytes, at + 4, line);

@@ -28,8 +28,8 @@ export class MapError extends Error {
 export function checkShape(width, height, anyShape = false) {
   checkSize(width, height);
   if (width !== 2 * height && !anyShape) {
-    throw new MapError(`is ${width} x ${height} texels; a latitude-longitude map is twice as wide as high, so convert it `
-      + "(a cube map or light probe needs to be resampled) or crop it");
+    throw new MapError(`is ${width} x ${height} texels; a latitude-longitude map is twice as wide as high, so convert `
+      + "it (a cube map or light probe needs to be resampled) or crop it");
   }
 }
 
@@ -86,21 +86,23 @@ export async function checkTexels({ width, height, data }, clampNegative) {
     kept += positive * solidAngle;
   });
   if (lost > NEGATIVE_TOLERANCE * kept && !clampNegative) {
-    const share = lost < kept ? `amount to ${((100 * lost) / kept).toFixed(1)}% of the light` : "outweigh all light in the map";
-    throw new MapError(`${clamped} texels are negative (down to ${Number(lowest.toPrecision(4))}) and ${share}; repair the `
-      + "map, or set them to zero", true);
+    const part = `amount to ${((100 * lost) / kept).toFixed(1)}% of the light`;
+    const share = lost < kept ? part : "outweigh all light in the map";
+    throw new MapError(`${clamped} texels are negative (down to ${Number(lowest.toPrecision(4))}) and ${share}; repair `
+      + "the map, or set them to zero", true);
   }
   return clamped;
 }
 
 /** What is wrong with the first texel of a row that no calculation can follow. */
 function unusable(data, width, row) {
-  const texels = Array.from({ length: width }, (_, c) => data.subarray(3 * (width * row + c), 3 * (width * row + c + 1)));
-  const infinite = texels.findIndex(texel => !texel.every(Number.isFinite));
+  const texel = column => data.subarray(3 * (width * row + column), 3 * (width * row + column + 1));
+  const texels = Array.from({ length: width }, (_, column) => texel(column));
+  const infinite = texels.findIndex(values => !values.every(Number.isFinite));
   if (infinite >= 0) {
     return new MapError(`texels are NaN or infinite, the first in row ${row}, column ${infinite}; repair the map`);
   }
-  const bright = texels.findIndex(texel => texel.some(value => Math.abs(value) > BRIGHTEST));
-  return new MapError(`texels are beyond 1e+30, more than can be calculated with, the first in row ${row}, column ${bright}; `
-    + "scale the map down");
+  const bright = texels.findIndex(values => values.some(value => Math.abs(value) > BRIGHTEST));
+  return new MapError("texels are beyond 1e+30, more than can be calculated with, the first in row "
+    + `${row}, column ${bright}; scale the map down`);
 }

@@ -27,7 +27,8 @@ export async function readMap(name, buffer, { clampNegative = false, anyShape = 
     return { name: name.replace(/(.)\.[^.]*$/, "$1"), ...withThreeRows(map), clamped, notes };
   } catch (error) {
     if (error instanceof MapError) throw new MapError(`${name}: ${error.message}`, error.negative);
-    throw new MapError(`${name}: cannot be read as an environment map (${error.message}); write it again, best as .exr`);
+    const reason = `cannot be read as an environment map (${error.message})`;
+    throw new MapError(`${name}: ${reason}; write it again, best as .exr`);
   }
 }
 

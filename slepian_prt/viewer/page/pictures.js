@@ -1,42 +1,11 @@
-// Pictures of 8 bits as maps, decoded by the browser; and how Python's relighting/drawing/pictures.py shows radiance.
+// Pictures of 8 bits as maps, decoded by the browser, where Python's lighting/formats/pictures.py decodes them itself.
 
 import { MapError, checkShape, makeTexels } from "#mapChecks";
 import { inPieces } from "#tasks";
 
 /** Linear light from an sRGB value in [0, 1] (IEC 61966-2-1). */
-export function decodeSrgb(value) {
+function decodeSrgb(value) {
   return value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4;
-}
-
-/** The sRGB value of linear light that is not negative (IEC 61966-2-1). */
-export function encodeSrgb(linear) {
-  return linear <= 0.0031308 ? 12.92 * linear : 1.055 * linear ** (1 / 2.4) - 0.055;
-}
-
-/** A linear value in [0, 1]: above 0.8 it approaches 1, and below zero it is zero. */
-export function rollOff(linear) {
-  const knee = 0.8;
-  if (linear <= knee) return Math.max(linear, 0);
-  return knee + (1 - knee) * Math.tanh((linear - knee) / (1 - knee));
-}
-
-/**
- * The factor that brings the 95th percentile of covered pixels to 0.85.
- *
- * @param {Float32Array} pixels (4 n) linear radiance that is multiplied by the alpha after it.
- * @returns {number}
- */
-export function exposureOf(pixels) {
-  const levels = new Float32Array(pixels.length / 4);
-  let count = 0;
-  for (let i = 0; i < pixels.length; i += 4) {
-    if (pixels[i + 3] > 0.5) levels[count++] = Math.max(pixels[i], pixels[i + 1], pixels[i + 2]);
-  }
-  if (!count) return 1;
-  const sorted = levels.subarray(0, count).sort();
-  const place = 0.95 * (count - 1), below = Math.floor(place), above = Math.min(below + 1, count - 1);
-  const level = sorted[below] + (place - below) * (sorted[above] - sorted[below]);
-  return level > 0 ? 0.85 / level : 1;
 }
 
 /**
@@ -63,12 +32,16 @@ export async function readPicture(bytes, anyShape) {
     canvas.drawImage(bitmap, 0, -row);
     const line = canvas.getImageData(0, 0, width, 1).data;
     for (let i = 0, at = 3 * width * row; i < line.length; i += 4, at += 3) {
-      if (line[i + 3] < 255) throw new MapError("is transparent in places, where browsers change colours; write it opaque");
+      if (line[i + 3] < 255) throw transparent();
       for (let colour = 0; colour < 3; colour++) data[at + colour] = table[line[i + colour]];
     }
   });
   bitmap.close();
   return { width, height, data, notes };
+}
+
+function transparent() {
+  return new MapError("is transparent in places, where browsers change colours; write it opaque");
 }
 
 /** Notes on a PNG; throws for one of a range that browsers would compress. Nothing for what is none. */

@@ -1,6 +1,6 @@
 // Radiance of a latitude-longitude map as spherical harmonics, the numbers of Python's lighting/texel_projection.py:
-// texel (row r, column c) of Mitsuba's `envmap` is centred on u = (c + ½)/W = atan2(x, -z)/2π, v = r/(H - 1) = acos(y)/π,
-// and the map is interpolated bilinearly.
+// texel (row r, column c) of Mitsuba's `envmap` is centred on u = (c + ½)/W = atan2(x, -z)/2π and v = r/(H - 1) =
+// acos(y)/π, and the map is interpolated bilinearly.
 
 import { legendreFactors, multiplyMatrices, rotateSh } from "#harmonics";
 import { inPieces } from "#tasks";

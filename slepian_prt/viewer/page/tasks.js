@@ -3,9 +3,8 @@
 // Milliseconds of work at a time: half a frame at 60 Hz.
 const LONGEST_PIECE = 8;
 
-/** Waits until the browser has handled what is waiting: input, and a frame if one is due. */
+/** Waits until the browser has handled what is waiting; `scheduler.yield` would let this go before timers. */
 function pause() {
-  if (globalThis.scheduler?.yield) return globalThis.scheduler.yield();
   const { port1, port2 } = new MessageChannel();
   return new Promise(resolve => {
     port1.onmessage = resolve;
