@@ -69,7 +69,7 @@ def write_page(path: str | Path, title: str, payload: bytes) -> int:
     if len(page) > LARGEST_PAGE:
         raise UserError(
             f"{path}: the page would have {len(page) / 1e6:.0f} MB, and browsers take long over more than "
-            f"{LARGEST_PAGE / 1e6:.0f}; take `functions=8`, fewer or smaller maps, or a simpler mesh"
+            f"{LARGEST_PAGE / 1e6:.0f}; take `functions=8`, or two pages instead of `compare_with`"
         )
     with atomic_output(path) as file:
         file.write(page)

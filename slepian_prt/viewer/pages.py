@@ -23,7 +23,7 @@ from slepian_prt.relighting.drawing.pictures import MAP, TRANSPARENT, Finish, ex
 from slepian_prt.relighting.drawing.taking import Taking
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
 from slepian_prt.relighting.files.surfaces import split_surfaces
-from slepian_prt.relighting.source import locate_source
+from slepian_prt.relighting.source import find_source, locate_source
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
@@ -36,6 +36,7 @@ from slepian_prt.viewer.light_maps import PageLight, map_lights, own_light
 from slepian_prt.viewer.models import Model, lamp_radiance
 from slepian_prt.viewer.page_file import check_page_name, write_page
 from slepian_prt.viewer.payload import Content, Display, make_payload
+from slepian_prt.viewer.statistics import lacks_textures
 
 log = logging.getLogger(__name__)
 
@@ -262,10 +263,7 @@ def _drawn(
     packed = models[0].packed
     if packed.film is not None:
         return [], None
-    source = locate_source(mi, packed, wish.scene, file, report)
-    detail = source.detail
-    if source.scene is not None and source.origin is not None:
-        detail = bitmap_detail(mi, source.scene, source.origin, packed.mesh, packed.parts, report)
+    detail = _textures(mi, packed, wish, file, report)
     drawn = [draw_mesh(packed.mesh, packed.parts, split_surfaces(packed.mesh, packed.parts, detail))]
     for model in models[1:]:
         other = model.packed
@@ -275,6 +273,20 @@ def _drawn(
         else:
             drawn.append(draw_mesh(other.mesh, other.parts, split_surfaces(other.mesh, other.parts, None)))
     return drawn, detail
+
+
+def _textures(
+    mi: Any, packed: CompressedTransfer, wish: PageWish, file: str | Path | None, report: Report
+) -> SurfaceDetail | None:
+    """Those of what the transfer was made from, which has no other use here."""
+    if find_source(packed, file, wish.scene) is None:
+        if lacks_textures(packed):
+            report(f"{packed.source} is not found, so its textures are drawn as vertices have them; name its `scene`")
+        return None
+    source = locate_source(mi, packed, wish.scene, file, report)
+    if source.scene is None or source.origin is None:
+        return source.detail
+    return bitmap_detail(mi, source.scene, source.origin, packed.mesh, packed.parts, report)
 
 
 def _scale(model: Model, light: PageLight, aim: Aim, detail: SurfaceDetail | None) -> float:

@@ -15,6 +15,9 @@ from slepian_prt.viewer.models import Model
 # A title, and pairs of a label and what is said of it.
 Section = list[str | list[list[str]]]
 
+# How rows of the effects plan begin that are about textures.
+_TEXTURE = "texture between vertices"
+
 
 def statistics(models: Sequence[Model], words: Callable[[str], str]) -> list[Section]:
     """Sections of text about the models of a page, the first at length; ``words`` puts names of parameters in words."""
@@ -34,7 +37,7 @@ def statistics(models: Sequence[Model], words: Callable[[str], str]) -> list[Sec
 def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     """What the page does not draw as the scene has it."""
     said = [f"Repaired in the mesh: {note}." for note in packed.notes]
-    lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith("texture between"))]
+    lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith(_TEXTURE))]
     if lacking and packed.film is None:
         said.append(f"Drawn plainly, without what the file does not hold: {'; '.join(lacking)}.")
     if packed.toward_view and packed.view is not None:
@@ -47,6 +50,11 @@ def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     if textured:
         said.append("Textures are those of the model's own file.")
     return said
+
+
+def lacks_textures(packed: CompressedTransfer) -> bool:
+    """Whether textures have detail that vertices do not hold."""
+    return any(name.startswith(_TEXTURE) for name in missing_in_picture(packed))
 
 
 def _section(title: str, rows: list[list[str]]) -> Section:
