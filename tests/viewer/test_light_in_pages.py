@@ -233,3 +233,15 @@ def test_receivers_that_are_drawn_several_times_count_once(modules, rng):
     assert once == negative_fraction(radiance[counted])
     assert all_drawn == negative_fraction(radiance)
     assert once != all_drawn
+
+
+def test_negative_vertices_of_a_large_model(modules, rng):
+    model, light = random_model(rng, 3, vertices=10_000), rng.normal(size=(3, 16))
+    reflectance = rng.integers(0, 65536, (10_000, 3)).astype(np.uint16)
+    body = """
+    const { lightFunctions } = await import("#light"), { negativeFraction } = await import("#radiance");
+    return negativeFraction(model, lightFunctions(model, light), { reflectance });
+    """
+    found = modules.run(body, model=model, light=light, reflectance=reflectance)
+    radiance = np.einsum("vcm,cm->vc", decode(model, 8), light) * (reflectance / 65535.0)
+    assert abs(found - negative_fraction(radiance)) <= 1.5 / 10_000  # one may round to either side of the bound

@@ -279,7 +279,7 @@ def test_a_thread_decodes_and_where_there_is_none_the_page(texels, tmp_path, mod
 @pytest.mark.parametrize(
     ("coding", "length"),
     [(flat, 4), (repeated_texels, 4), (flat, 16), (repeated_texels, 16), (repeated_bytes, 8)]
-    + [(coding, 300) for coding in (flat, repeated_texels, repeated_bytes)],
+    + [(coding, 600) for coding in (flat, repeated_texels, repeated_bytes)],  # repetitions beyond 255
 )
 def test_codings_of_radiance(coding, length, tmp_path, modules, rng):
     lines = encode(np.exp(rng.normal(size=(length // 2, length, 3))))
