@@ -17,6 +17,7 @@ Transfer and relighting
     load                            Read a .prt file.
     relight                         Radiance at the vertices under given lighting.
     gpu_transfer, GpuTransfer       The same for graphics hardware: 16 bytes per vertex, and what a shader does with it.
+    export_model, Exported          A .glb for engines: transfer for a shader, or ambient occlusion and the like.
     render_picture, save_picture    Draw a model under a light, as an array or a file.
     register                        Make the integrators `slepian_prt` and `slepian_prt_capture` known to Mitsuba.
 Meshes and light

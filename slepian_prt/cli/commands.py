@@ -9,7 +9,7 @@ from importlib import import_module
 import click
 
 # Each is a function of its name in the file of its name.
-COMMANDS = ("capture", "compare", "doctor", "export", "info", "precompute", "relight", "spectrum", "sweep")
+COMMANDS = ("capture", "compare", "doctor", "export", "info", "precompute", "relight", "spectrum", "sweep", "view")
 
 
 class _Commands(click.Group):

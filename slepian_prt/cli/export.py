@@ -9,7 +9,8 @@ import click
 
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import clamp_option, file_argument, output_option, rotate_option
-from slepian_prt.cli.values import Names, read_maps, read_transfer
+from slepian_prt.cli.values import read_maps, read_transfer
+from slepian_prt.export.kinds import ATTRIBUTES, KINDS, check_export
 
 if TYPE_CHECKING:
     from slepian_prt.export.model import Exported
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 @click.option(
     "--as",
     "what",
-    type=Names("what"),
+    type=click.Choice(KINDS),
     default="transfer",
     show_default=True,
     help="Transfer, for a shader that relights it; or what engines have a place for, with its loss.",
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--attributes",
-    type=Names("attributes"),
+    type=click.Choice(ATTRIBUTES),
     help="How those are carried: float for Blender, texture for what keeps only texture coordinates.  [default: bytes]",
 )
 @click.option(
@@ -54,7 +55,6 @@ def export(
     output: str,
 ) -> None:
     """Export a transfer FILE for engines: a model to be relit by a shader (.glb), or ambient occlusion and the like."""
-    from slepian_prt.export.kinds import check_export
     from slepian_prt.export.model import export_model
     from slepian_prt.lighting.projection import project_environment
     from slepian_prt.relighting.files.wishes import check_source
@@ -75,6 +75,6 @@ def _told(exported: Exported, what: str) -> str:
     """What it costs."""
     measured = "".join(f", {error:.2%} under {name}" for name, error in exported.measured.items())
     return (
-        f"as {what}, which costs {exported.error:.2%} of radiance here{measured}; {exported.relit_error:.2%} with what the "
-        "file lost"
+        f"as {what}, which costs {exported.error:.2%} of radiance here{measured}; "
+        f"{exported.relit_error:.2%} with what the file lost"
     )

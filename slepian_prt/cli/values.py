@@ -38,16 +38,13 @@ def names_of(option: str) -> tuple[str, ...]:
     """What an option may be, from the tables of the library."""
     from slepian_prt.compression.settings import BASES, CODINGS, GROUPINGS
     from slepian_prt.compression.truncation import TRUNCATIONS
-    from slepian_prt.export.kinds import ATTRIBUTES, KINDS
     from slepian_prt.lighting.windowing import WINDOWS
 
     tables = {
-        "attributes": ATTRIBUTES,
         "basis": (*BASES, "none"),
         "coding": CODINGS,
         "group_by": GROUPINGS,
         "truncate": TRUNCATIONS,
-        "what": KINDS,
         "window": WINDOWS,
     }
     return tables[option]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.export.ambient import Ambient
+from slepian_prt.export.description import NAME
 from slepian_prt.export.kinds import BENT_NORMALS, FIRST_DEGREE, OCCLUSION, SKY_VISIBILITY
 from slepian_prt.export.transfer_glb import add_surface
 from slepian_prt.relighting.drawing.pictures import encode_srgb
@@ -71,7 +72,7 @@ def write_ambient_glb(
             own[name] = document.add_attribute(values[surface.vertices])
         by_part[surface.name].append(primitive)
     roots = [add_node(document, name, primitives, center) for name, primitives in by_part.items()]
-    document.write(path, roots, up, {"extras": {"slepian_prt": {"kind": what, "attributes": list(attributes)}}})
+    document.write(path, roots, up, {"extras": {NAME: {"kind": what, "attributes": list(attributes)}}}, "write .ply")
 
 
 def _with_one_reflectance(surface: Surface) -> Surface:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError, check_choice
 from slepian_prt.files import check_writable
+
+if TYPE_CHECKING:
+    from slepian_prt.compression.compressed import CompressedTransfer
 
 TRANSFER, OCCLUSION, BENT_NORMALS, SKY_VISIBILITY, FIRST_DEGREE = (
     "transfer", "occlusion", "bent-normals", "sky-visibility", "l1",

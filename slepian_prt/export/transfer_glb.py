@@ -88,7 +88,7 @@ def write_transfer_glb(
         by_part[surface.name].append(primitive)
     roots = [add_node(document, name, primitives, center) for name, primitives in by_part.items()]
     extras = {NAME: describe(document, packed, gpu, carrier.told)}
-    document.write(path, roots, up, {"extras": extras})
+    document.write(path, roots, up, {"extras": extras}, "give fewer `functions`, or export parts of the model")
 
 
 def add_surface(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,11 @@ from slepian_prt.scene.view import View
 _LOOKS = 64
 
 
-def camera_entry(packed: CompressedTransfer, view: View) -> dict[str, Any]:
+def camera_entry(packed: Sequence[CompressedTransfer], view: View) -> dict[str, Any]:
     """What the payload says of the camera that the page opens at; transfer toward a camera is drawn from there only."""
     known = ("to_world", "fov", "width", "height", "near", "far")
-    return {name: value for name, value in view.as_dict().items() if name in known} | {"locked": packed.toward_view}
+    locked = any(one.toward_view for one in packed)
+    return {name: value for name, value in view.as_dict().items() if name in known} | {"locked": locked}
 
 
 def antialiasing(mi: Any, view: View) -> list[list[float]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,13 +30,13 @@ _UV_STEPS = (1 << 22) - 1
 
 
 class DrawnFaces(NamedTuple):
-    """Faces ``first : first + count`` of a drawn mesh.
+    """Faces ``first : first + size`` of a drawn mesh.
 
     Attributes
     ----------
     name : str
         Of the part.
-    first, count : int
+    first, size : int
     texture : int or None
         Of `DrawnMesh.textures`.
     back : bool
@@ -45,7 +45,7 @@ class DrawnFaces(NamedTuple):
 
     name: str
     first: int
-    count: int
+    size: int
     texture: int | None
     back: bool
 
@@ -76,6 +76,10 @@ class DrawnMesh:
     uv: NDArray[np.float32] | None
     textures: tuple[Texture, ...]
 
+    def of_receivers(self, receivers: NDArray[np.int64]) -> DrawnMesh:
+        """The same mesh, of whose vertices other transfer has other numbers (N,)."""
+        return replace(self, receivers=receivers)
+
     def entry(self, buffers: Buffers, first_texture: int = 0) -> dict[str, Any]:
         """What the payload says of it; ``first_texture`` is the number of the first of `textures` there."""
         low, step = _lattice(self)
@@ -102,7 +106,7 @@ class DrawnMesh:
                 {
                     "name": one.name,
                     "firstFace": one.first,
-                    "faceCount": one.count,
+                    "faceCount": one.size,
                     "texture": None if one.texture is None else first_texture + one.texture,
                     "back": one.back,
                 }
@@ -151,9 +155,9 @@ def draw_mesh(mesh: Mesh, parts: Sequence[Part], surfaces: Sequence[Surface]) ->
     receivers = np.concatenate([surface.vertices for surface in surfaces])[order]
     uv = None
     if textures:
-        uv = np.concatenate(
-            [np.zeros((len(s.vertices), 2), np.float32) if s.uv is None else s.uv for s in surfaces]
-        )[order]
+        uv = np.concatenate([np.zeros((len(s.vertices), 2), np.float32) if s.uv is None else s.uv for s in surfaces])[
+            order
+        ]
     return DrawnMesh(
         receivers,
         mesh.positions[receivers],
@@ -192,7 +196,7 @@ def _lattice(drawn: DrawnMesh) -> tuple[NDArray[np.float64], float]:
     step = extent / _STEPS if extent > 0.0 else 1.0
     finest = step
     for surface in drawn.surfaces:
-        corners = drawn.positions[drawn.faces[surface.first : surface.first + surface.count]]
+        corners = drawn.positions[drawn.faces[surface.first : surface.first + surface.size]]
         edge = float(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1).mean())
         size = float(np.ptp(corners.reshape(-1, 3), axis=0).max())
         finest = min([finest, *(x for x in (edge / _STEPS_OF_EDGE, size / _STEPS_OF_SURFACE) if x > 0.0)])

@@ -89,21 +89,24 @@ def map_lights(
     return tuple(_map_light(one, bandlimit, stand, clamp_negative) for one in maps)
 
 
-def own_light(packed: CompressedTransfer, up: str, rotate: float) -> PageLight:
-    """The light that the scene has of its own; dark where lamps are all of it.
+def own_light(packed: Sequence[CompressedTransfer], up: str, rotate: float) -> PageLight:
+    """The light that the scene has of its own, as the file with most degrees has it; dark where lamps are all of it.
 
     Raises
     ------
     UserError
         It has neither.
     """
-    if packed.lighting is None and packed.fixed is None:
+    turn, size = about_axis(up, rotate), max(num_coefficients(one.bandlimit) for one in packed)
+    known = [one.lighting for one in packed if one.lighting is not None]
+    if not known and all(one.fixed is None for one in packed):
         raise UserError("the scene has no light of its own; name a map with `environment`")
-    turn = about_axis(up, rotate)
-    if packed.lighting is None:
-        dark = np.zeros((3, num_coefficients(packed.bandlimit)))
-        return PageLight("lamps of the scene", dark, b"", "", turn, own=True)
-    return PageLight("light of the scene", rotate_sh(packed.lighting, turn), b"", "", turn, own=True)
+    coefficients = np.zeros((3, size))
+    if known:
+        most = max(known, key=lambda lighting: lighting.shape[1])
+        coefficients[:, : most.shape[1]] = rotate_sh(most, turn)
+    name = "light of the scene" if known else "lamps of the scene"
+    return PageLight(name, coefficients, b"", "", turn, own=True)
 
 
 def _map_light(given: str | Path | Environment, bandlimit: int, stand: NDArray, clamp_negative: bool) -> PageLight:

@@ -1,8 +1,8 @@
 """One HTML file that needs nothing else: no network, no server, no build.
 
-Pages from ``file://`` may not fetch, so that all is inline: the payload and the modules as gzip in base64. A small script
-inflates the modules with the browser's own `DecompressionStream`, gives each a ``blob:`` URL, adds an import map (they
-import each other by names such as ``#harmonics``) and starts ``#main``.
+Pages from ``file://`` may not fetch, so that all is inline: the payload and the modules as gzip in base64. A small
+script inflates the modules with the browser's own `DecompressionStream`, gives each a ``blob:`` URL, adds an import map
+(they import each other by names such as ``#harmonics``) and starts ``#main``.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from importlib.resources import files
 from pathlib import Path
 
 import jinja2
@@ -35,8 +34,8 @@ def make_page(title: str, payload: bytes) -> bytes:
     payload : bytes
         As of `make_payload`.
     """
-    folder = files("slepian_prt") / "viewer"
-    sources = {f"#{Path(one.name).stem}": one.read_text() for one in _scripts(folder / "page")}
+    folder = Path(__file__).parent
+    sources = {f"#{one.stem}": one.read_text() for one in _scripts(folder / "page")}
     kit = (folder / "vendor" / f"{_KIT}.min.js").read_text()
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("slepian_prt", "viewer/page"), autoescape=True, keep_trailing_newline=True
@@ -50,6 +49,12 @@ def make_page(title: str, payload: bytes) -> bytes:
         payload=Markup(_packed(payload)),
     )
     return page.encode()
+
+
+def check_page_name(path: str | Path) -> None:
+    """Raise UserError unless browsers know such a file for a page."""
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"{path}: pages are written as .html; name the file so")
 
 
 def write_page(path: str | Path, title: str, payload: bytes) -> int:
@@ -71,8 +76,9 @@ def write_page(path: str | Path, title: str, payload: bytes) -> int:
     return len(page)
 
 
-def _scripts(folder):  # type: ignore[no-untyped-def]
-    return [one for one in folder.iterdir() if one.name.endswith(".js") and one.name != "bootstrap.js"]
+def _scripts(folder: Path) -> list[Path]:
+    """The modules of a page."""
+    return [one for one in sorted(folder.glob("*.js")) if one.name != "bootstrap.js"]
 
 
 def _packed(content: bytes) -> str:

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from numpy.typing import NDArray
-
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.viewer.buffers import Buffers
 from slepian_prt.viewer.drawn_mesh import DrawnMesh, texture_entry
@@ -64,7 +62,7 @@ class Content:
     models : sequence of Model
         The first is the file, a second what it is compared with.
     drawn : sequence of DrawnMesh
-        One for each model, those of a model that is drawn on the mesh of the first are the same object; none of films.
+        One for each model, whose receivers they name; those of one mesh share all but `receivers`. None of films.
     lights : sequence of PageLight
     camera : dict or None
         As of `cameras.camera_entry`; None of films.
@@ -95,7 +93,7 @@ def make_payload(content: Content) -> bytes:
         "version": VERSION,
         "title": content.title,
         "generator": f"slepian_prt {version('slepian_prt')}",
-        "bandlimit": first.bandlimit,
+        "bandlimit": max(model.packed.bandlimit for model in content.models),
         "statistics": statistics(content.models),
         "notes": [*remarks(first, textured=bool(textures)), *content.notes],
         "camera": content.camera,
@@ -116,20 +114,23 @@ def make_payload(content: Content) -> bytes:
 
 def _geometry(buffers: Buffers, content: Content) -> tuple[list[Any], list[Any], list[Any]]:
     """Entries of geometries, textures and models; a mesh that several models are drawn on is there once."""
-    meshes = list({id(drawn): drawn for drawn in content.drawn}.values())
+    meshes: list[DrawnMesh] = []
+    models = []
+    for number, model in enumerate(content.models):
+        if not content.drawn:
+            models.append(model.entry(buffers, None, None))
+            continue
+        drawn = content.drawn[number]
+        known = [mesh.faces is drawn.faces for mesh in meshes]
+        if not any(known):
+            meshes.append(drawn)
+            known.append(True)
+        models.append(model.entry(buffers, known.index(True), drawn.receivers))
     geometries: list[Any] = []
     textures: list[Any] = []
     for drawn in meshes:
         geometries.append(drawn.entry(buffers, len(textures)))
         textures += [texture_entry(buffers, texture) for texture in drawn.textures]
-    models = []
-    for number, model in enumerate(content.models):
-        geometry: int | None = None
-        receivers: NDArray | None = None
-        if content.drawn:
-            geometry = [id(mesh) for mesh in meshes].index(id(content.drawn[number]))
-            receivers = content.drawn[number].receivers
-        models.append(model.entry(buffers, geometry, receivers))
     return geometries, textures, models
 
 

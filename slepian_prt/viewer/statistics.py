@@ -15,9 +15,6 @@ from slepian_prt.viewer.models import Model
 # A title, and pairs of a label and what is said of it.
 Section = list[str | list[list[str]]]
 
-# Bytes of the page itself are known when it is made; its program puts them here.
-PAGE_BYTES = "page"
-
 
 def statistics(models: Sequence[Model]) -> list[Section]:
     """Sections of text about the models of a page, the first at length."""
@@ -37,9 +34,9 @@ def statistics(models: Sequence[Model]) -> list[Section]:
 def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     """What the page does not draw as the scene has it."""
     said = [f"Repaired in the mesh: {note}." for note in packed.notes]
-    lacking = missing_in_picture(packed)
+    lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith("texture between"))]
     if lacking and packed.film is None:
-        said.append(f"Drawn plainly, without what the file does not hold: {', '.join(lacking)}.")
+        said.append(f"Drawn plainly, without what the file does not hold: {'; '.join(lacking)}.")
     if packed.toward_view and packed.view is not None:
         said.append(
             f"This is light toward the camera '{packed.view.name}', which other places do not see: it is drawn from "

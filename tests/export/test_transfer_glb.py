@@ -11,54 +11,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.export.model import export_model
 from slepian_prt.export.transfer_glb import write_transfer_glb
 from slepian_prt.lighting.fixed_lights import FixedLights
-from slepian_prt.lighting.spectrum import falling_prior
 from slepian_prt.relighting.files.surfaces import split_surfaces
 from slepian_prt.relighting.relight import relight
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.formats.parts import Texture
-from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
-from slepian_prt.sphere.harmonics import degrees
-from slepian_prt.transport.transfer import precompute
-from tests.conftest import bumpy
 from tests.export.glb_reader import Glb, read_glb
 from tests.numerics import assert_exact
 from tests.runtime_reference import lit_table, relit
-
-BANDLIMIT = 4
-
-
-@pytest.fixture(scope="module")
-def packed():
-    """Of a ball whose albedo varies."""
-    ball = bumpy(3)
-    albedo = 0.5 + 0.4 * np.sin(3.0 * ball.positions)
-    mesh = make_mesh(ball.positions, ball.faces, albedo=albedo, name="ball")
-    return compress(precompute(mesh, bandlimit=BANDLIMIT, samples=64, effects="direct"), tolerance=0.05, clusters=24)
-
-
-@pytest.fixture(scope="module")
-def coloured(packed):
-    """Three channels: interreflection of a red ball and what it hides."""
-    mesh = make_mesh(packed.mesh.positions, packed.mesh.faces, albedo=[0.9, 0.2, 0.1], name="red")
-    transfer = precompute(mesh, bandlimit=BANDLIMIT, samples=64)
-    assert transfer.vectors.shape[1] == 3
-    return compress(transfer, tolerance=0.05, clusters=24)
-
-
-@pytest.fixture
-def light(rng):
-    """Bright from above, falling as 1/(l+1)²."""
-    size = (BANDLIMIT + 1) ** 2
-    lighting = rng.normal(size=(3, size)) * (falling_prior(BANDLIMIT).weights ** 2)[degrees(BANDLIMIT)]
-    lighting[:, 0] += 5.0
-    return lighting
 
 
 def bytes_of(glb: Glb, primitive: dict) -> np.ndarray:
@@ -180,7 +145,7 @@ def test_a_texture_does_not_use_alpha_and_is_not_filtered(tmp_path, packed):
 
 def test_a_file_that_is_too_large_is_not_written(tmp_path, packed, monkeypatch):
     monkeypatch.setattr("slepian_prt.relighting.files.gltf_document._LARGEST", 10_000)
-    with pytest.raises(UserError, match="GiB, and .glb holds 4"):
+    with pytest.raises(UserError, match=r"GiB, and \.glb holds 4; give fewer `functions`"):
         export_model(packed, tmp_path / "a.glb")
     assert list(tmp_path.iterdir()) == []
 

@@ -76,6 +76,13 @@ class Finish:
         return from_srgb(np.array(_parse_colour(self.background)) / 255.0)
 
     @property
+    def shown(self) -> str:
+        """The background, a colour as #rrggbb."""
+        if self.background in (TRANSPARENT, MAP):
+            return self.background
+        return "#" + bytes(_parse_colour(self.background)).hex()
+
+    @property
     def factor(self) -> float:
         """What the exposure multiplies radiance by."""
         return 2.0**self.exposure

@@ -103,7 +103,14 @@ class GltfDocument:
         known = self.lists.get("materials", [])
         return known.index(material) if material in known else self.add("materials", material)
 
-    def write(self, path: str | Path, roots: list[int], up: str = "y", more: Mapping[str, Any] | None = None) -> None:
+    def write(
+        self,
+        path: str | Path,
+        roots: list[int],
+        up: str = "y",
+        more: Mapping[str, Any] | None = None,
+        instead: str = "write .ply or .npz",
+    ) -> None:
         """Write the file, complete or not at all.
 
         Parameters
@@ -115,6 +122,8 @@ class GltfDocument:
             What is up in them; they are put upright for viewers.
         more : mapping, optional
             Other properties of the root: ``extras``, ….
+        instead : str
+            What to do where it is too large.
 
         Raises
         ------
@@ -137,7 +146,7 @@ class GltfDocument:
         self.binary.extend(bytes(-len(self.binary) % 4))
         size = 12 + 8 + len(text) + 8 + len(self.binary)
         if size > _LARGEST:
-            raise UserError(f"{path}: needs {size / 2**30:.1f} GiB, and .glb holds 4; write .ply or .npz")
+            raise UserError(f"{path}: needs {size / 2**30:.1f} GiB, and .glb holds 4; {instead}")
         with atomic_output(path) as file:
             file.write(struct.pack("<4sII", b"glTF", 2, size))
             file.write(struct.pack("<I4s", len(text), b"JSON") + text)
