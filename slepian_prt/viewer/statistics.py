@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from slepian_prt.compression.compressed import CompressedTransfer
@@ -16,14 +16,14 @@ from slepian_prt.viewer.models import Model
 Section = list[str | list[list[str]]]
 
 
-def statistics(models: Sequence[Model]) -> list[Section]:
-    """Sections of text about the models of a page, the first at length."""
+def statistics(models: Sequence[Model], words: Callable[[str], str]) -> list[Section]:
+    """Sections of text about the models of a page, the first at length; ``words`` puts names of parameters in words."""
     packed, transfer = models[0].packed, models[0].transfer
     sections = [
         _section("Model", _model(packed)),
         _section("Bytes", _bytes(packed, transfer)),
         _section("Error", _errors(packed, transfer)),
-        _section("Light transport", [[effect.name, _effect(effect)] for effect in packed.effects]),
+        _section("Light transport", [[words(effect.name), words(_effect(effect))] for effect in packed.effects]),
     ]
     for other in models[1:]:
         rows = [*_model(other.packed), *_errors(other.packed, other.transfer)]
