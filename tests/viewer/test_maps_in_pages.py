@@ -451,6 +451,7 @@ def test_names_and_maps_of_few_rows(tmp_path, modules, rng):
     assert_exact(found["texels"], read_environment(path).texels, because="copies")
 
 
+@pytest.mark.slow
 def test_real_maps(data, modules):
     for name in ("studio", "negative_sky"):
         path = data / "environments" / f"{name}.exr"
