@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import check_choice
-from slepian_prt.export.kinds import FUNCTIONS, PLY, TRANSFER, check_export, check_exportable
+from slepian_prt.export.ambient import ambient_part
+from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
+from slepian_prt.export.kinds import ATTRIBUTES, FUNCTIONS, PLY, TRANSFER, check_export, check_exportable
+from slepian_prt.export.transfer_glb import write_transfer_glb
 from slepian_prt.relighting.files.surfaces import Surface, split_surfaces
+from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.view import UPS
+
+# How the rows of the plan begin that textures make up for.
+_TEXTURE = "texture "
 
 
 @dataclass(frozen=True)
@@ -90,44 +97,37 @@ def export_model(
     check_exportable(packed, what, file)
     lights = lights or {}
     if what == TRANSFER:
-        return _export_transfer(packed, path, functions, attributes, lights, _surfaces(packed, scene, file, report), up)
-    from slepian_prt.export.ambient import ambient_part
-    from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
-
+        gpu = gpu_transfer(packed, FUNCTIONS if functions is None else functions)
+        write_transfer_glb(
+            path, packed, gpu, _surfaces(packed, path, scene, file, report), attributes or ATTRIBUTES[0], up
+        )
+        measured = {name: gpu.error(light) for name, light in lights.items()}
+        return Exported(Path(path), packed.vertex_count, gpu.error(), gpu.relit_error(), measured)
     ambient = ambient_part(packed, what, lights)
     if Path(path).suffix.lower() == PLY:
         write_ambient_ply(path, packed, ambient, what)
     else:
-        write_ambient_glb(path, packed, ambient, what, _surfaces(packed, scene, file, report), up)
+        write_ambient_glb(path, packed, ambient, what, _surfaces(packed, path, scene, file, report), up)
     error = ambient.error()
     relit = (error**2 + packed.predicted_relit_error() ** 2) ** 0.5
     return Exported(Path(path), packed.vertex_count, error, relit, ambient.measured)
 
 
-def _export_transfer(
+def _surfaces(
     packed: CompressedTransfer,
     path: str | Path,
-    functions: int | None,
-    attributes: str | None,
-    lights: Mapping[str, NDArray],
-    surfaces: tuple[Surface, ...],
-    up: str,
-) -> Exported:
-    from slepian_prt.export.transfer_glb import write_transfer_glb
-    from slepian_prt.runtime.gpu_transfer import gpu_transfer
-
-    gpu = gpu_transfer(packed, FUNCTIONS if functions is None else functions)
-    write_transfer_glb(path, packed, gpu, surfaces, attributes or "bytes", up)
-    measured = {name: gpu.error(light) for name, light in lights.items()}
-    return Exported(Path(path), packed.vertex_count, gpu.error(), gpu.relit_error(), measured)
-
-
-def _surfaces(
-    packed: CompressedTransfer, scene: str | Path | None, file: str | Path, report: Callable[[str], None]
+    scene: str | Path | None,
+    file: str | Path,
+    report: Callable[[str], None],
 ) -> tuple[Surface, ...]:
     """The surfaces of the model, with the textures of what it was made from."""
     from slepian_prt.relighting.files.bitmap_detail import source_detail
+    from slepian_prt.relighting.source import missing_in_picture
     from slepian_prt.renderer.variants import mitsuba
 
     with mitsuba() as mi:
-        return split_surfaces(packed.mesh, packed.parts, source_detail(mi, packed, scene, file or None, report))
+        detail = source_detail(mi, packed, scene, file or None, report)
+    lacking = [row for row in missing_in_picture(packed) if detail is None or not row.startswith(_TEXTURE)]
+    if lacking:
+        report(f"{path}: engines draw the model plainly, without what transfer does not hold ({'; '.join(lacking)})")
+    return split_surfaces(packed.mesh, packed.parts, detail)

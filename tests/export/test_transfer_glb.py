@@ -19,8 +19,10 @@ from slepian_prt.relighting.files.surfaces import split_surfaces
 from slepian_prt.relighting.relight import relight
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.formats.parts import Texture
+from slepian_prt.scene.left_out import GATHERED
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.scene import Part
+from slepian_prt.transport.effects import Effect
 from tests.export.glb_reader import Glb, read_glb
 from tests.numerics import assert_exact
 from tests.runtime_reference import lit_table, relit
@@ -132,6 +134,16 @@ def test_parts_and_textures_of_the_source_survive(tmp_path, packed, rng, attribu
     assert all("KHR_materials_unlit" in entry["extensions"] for entry in glb.root["materials"])
     if attributes == "texture":
         assert all(entry["occlusionTexture"]["strength"] == 0.0 for entry in glb.root["materials"])
+
+
+def test_what_engines_draw_plainly_is_said(tmp_path, packed):
+    """Rows of the plan whose light depends on the camera; of a file whose source is not there, textures too."""
+    names = [f"{what} of shape 'ball'" for what in ("mirror reflection", "texture between vertices")]
+    rows = tuple(Effect(name, GATHERED, 0.5, None, 0, "") for name in names)
+    plain, remarks = replace(packed, effects=rows, source=""), []
+    export_model(plain, tmp_path / "a.glb", report=remarks.append)
+    (remark,) = remarks
+    assert remark.endswith(f"({'; '.join(names)})")
 
 
 def test_a_texture_does_not_use_alpha_and_is_not_filtered(tmp_path, packed):

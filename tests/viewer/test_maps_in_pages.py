@@ -279,7 +279,7 @@ def test_a_thread_decodes_and_where_there_is_none_the_page(texels, tmp_path, mod
 @pytest.mark.parametrize(
     ("coding", "length"),
     [(flat, 4), (repeated_texels, 4), (flat, 16), (repeated_texels, 16), (repeated_bytes, 8)]
-    + [(coding, 300) for coding in (flat, repeated_texels, repeated_bytes)],
+    + [(coding, 600) for coding in (flat, repeated_texels, repeated_bytes)],  # repetitions beyond 255
 )
 def test_codings_of_radiance(coding, length, tmp_path, modules, rng):
     lines = encode(np.exp(rng.normal(size=(length // 2, length, 3))))
@@ -451,6 +451,7 @@ def test_names_and_maps_of_few_rows(tmp_path, modules, rng):
     assert_exact(found["texels"], read_environment(path).texels, because="copies")
 
 
+@pytest.mark.slow
 def test_real_maps(data, modules):
     for name in ("studio", "negative_sky"):
         path = data / "environments" / f"{name}.exr"

@@ -1,6 +1,6 @@
 /** Pictures: quick ones while something moves, and at rest many looks per pixel, as the film's filter weighs them. */
 
-import { WebGLRenderTarget } from "three-kit";
+import { DataUtils, WebGLRenderTarget } from "three-kit";
 import { compositeMaterial, SHOWN } from "#composite";
 import { Passes, pictureMaterial, radianceTarget } from "#passes";
 import { ADDING_FRAGMENT } from "#shaders";
@@ -11,15 +11,12 @@ const LOOKS = 3;
 /** The sum of frames, each with a weight. */
 class Sum {
   constructor(isExact) {
+    this.isExact = isExact;
     this._targets = [radianceTarget({ isExact, isSmooth: !isExact }), radianceTarget({ isExact, isSmooth: !isExact })];
     this._material = pictureMaterial(ADDING_FRAGMENT, {
       sum: { value: null }, frame: { value: null }, weight: { value: 0 }, first: { value: true },
     });
     this.count = 0;
-  }
-
-  get texture() {
-    return this._targets[0].texture;
   }
 
   get target() {
@@ -51,6 +48,7 @@ class Sum {
  *     two parts share a picture at `split`.
  * @property {number} split - Where the second part begins, 0 to 1.
  * @property {boolean} hasBackdrop
+ * @property {number} [kind] - Of `SHOWN`.
  * @property {object} view - What `stage.draw` takes: camera, width, height, covered.
  */
 
@@ -105,7 +103,7 @@ export class Painter {
     this._use(parts.map((_, i) => this._quick[i].texture));
   }
 
-  /** Add some looks; the picture that is used is that of the sums from a quarter of them on. */
+  /** Add some looks; the picture that is used is that of the sums once they are complete. */
   addLooks(count) {
     const { parts } = this._scenery;
     const last = Math.min(this.done + count, this.looks);
@@ -119,7 +117,7 @@ export class Painter {
     if (this.done < this.looks) return;
     if (!this._isQuiet) this._drawBackdrop(LOOKS);
     this._isQuiet = true;
-    this._use(parts.map((_, i) => this._sums[i].texture));
+    this._use(parts.map((_, i) => this._sums[i].target.texture));
   }
 
   _use(textures) {
@@ -157,18 +155,19 @@ export class Painter {
     this.passes.draw(this.composite, target);
   }
 
-  /** Linear radiance and coverage of what was drawn last, 4 numbers for each pixel, from the lower left. */
-  readRadiance() {
-    const target = this.done === this.looks ? this._sums[0].target : this._frame;
-    const pixels = new Float32Array(4 * target.width * target.height);
-    const exact = radianceTarget({ isExact: true, isSmooth: false });
-    exact.setSize(target.width, target.height);
-    const copy = this._sums[1];
-    copy.restart(target.width, target.height);
-    copy.add(this.passes, target.texture, 1);
-    this.renderer.readRenderTargetPixels(copy.target, 0, 0, target.width, target.height, pixels);
-    exact.dispose();
-    return pixels;
+  /**
+   * Linear radiance and coverage of some looks at scenery, 4 numbers for each pixel, from the lower left. What was
+   * painted has to begin anew.
+   */
+  measure(scenery, looks = this.looks) {
+    this.restart(scenery);
+    this.addLooks(looks);
+    const [width, height] = this._size;
+    const { target, isExact } = this._sums[0];
+    const pixels = isExact ? new Float32Array(4 * width * height) : new Uint16Array(4 * width * height);
+    this.renderer.readRenderTargetPixels(target, 0, 0, width, height, pixels);
+    const weight = this.stage.antialias.slice(0, this.done).reduce((sum, look) => sum + look[2], 0);
+    return Float32Array.from(pixels, (value) => (isExact ? value : DataUtils.fromHalfFloat(value)) / weight);
   }
 
   /** Bytes of the picture as it is shown, from the top, RGBA, opacity not multiplied. */
