@@ -8,6 +8,7 @@ from benchmarks.accuracy import accuracy
 from benchmarks.all_views import all_views
 from benchmarks.compression import compression
 from benchmarks.files import files
+from benchmarks.pages import pages
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.runtime import runtime
@@ -26,6 +27,7 @@ BENCHMARKS = {
     "runtime": runtime,
     "accuracy": accuracy,
     "paths": paths,
+    "pages": pages,
     "smoothing": smoothing,
     "all_views": all_views,
     "dragons": dragons,

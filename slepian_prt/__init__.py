@@ -19,6 +19,7 @@ Transfer and relighting
     gpu_transfer, GpuTransfer       The same for graphics hardware: 16 bytes per vertex, and what a shader does with it.
     export_model, Exported          A .glb for engines: transfer for a shader, or ambient occlusion and the like.
     render_picture, save_picture    Draw a model under a light, as an array or a file.
+    save_page                       Write a page for any browser: the model, its transfer and lights to turn.
     register                        Make the integrators `slepian_prt` and `slepian_prt_capture` known to Mitsuba.
 Meshes and light
     read_mesh, make_mesh            A mesh from a file, or from arrays.

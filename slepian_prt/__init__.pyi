@@ -46,5 +46,6 @@ from .transport.capturing.capture import capture as capture
 from .transport.transfer import Transfer as Transfer
 from .transport.transfer import precompute as precompute
 from .transport.transfer_file import load_transfer as load_transfer
+from .viewer.pages import save_page as save_page
 
 __version__: str

@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="The sweep.json of this scene: its fronts are shown too.",
 )
+@click.option("--viewer", is_flag=True, help="Beside the report, a page to turn model and light in: viewer.html.")
 def compare(
     scene: str,
     environment: tuple[str, ...],
@@ -62,6 +63,7 @@ def compare(
     clamp_negative: bool,
     width: int | None,
     noise: float,
+    viewer: bool,
     **options: Any,
 ) -> None:
     """Compare methods on SCENE: errors against full SH and path-traced references, as a report and as JSON.
@@ -77,6 +79,7 @@ def compare(
     from slepian_prt.relighting.drawing.pictures import Finish
     from slepian_prt.scene.view import Aim
     from slepian_prt.transport.settings import TransportSettings
+    from slepian_prt.viewer.pages import PageWish
 
     transport = settings_of(TransportSettings, options)
     grouping = settings_of(CompressionSettings, options)
@@ -107,7 +110,8 @@ def compare(
             on_plan=print_plan,
             advance=advance,
         )
-    page = write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), sweep)
+    wish = PageWish(aim=aim) if viewer else None
+    page = write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), sweep, wish)
     lights = f"{len(comparison.views)} environment{'s' if len(comparison.views) > 1 else ''}"
     say(f"{page}: {len(comparison.methods)} methods, {lights}, {comparison.seconds:.0f} s")
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import sys
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from slepian_prt.cli.commands import with_flags
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     clamp_option,
@@ -84,7 +86,7 @@ def view(
     given = [path for path in (compare_with, scene) if path]
     files.check_writable(output, file, *environment, *given)
     content = page_content(read_transfer(file), wish, _read_other(compare_with), file, note)
-    size = write_page(output, content.title, make_payload(content))
+    size = write_page(output, content.title, make_payload(replace(content, words=with_flags)))
     step = content.models[0].transfer.error()
     lights = ", ".join(light.name for light in content.lights)
     say(

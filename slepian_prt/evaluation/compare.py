@@ -129,6 +129,7 @@ def compare(
         {view.environment.name: negative_fraction(view.radiance) for view in views},
         finish,
         time.perf_counter() - started,
+        list(lossy.values())[-1].compressed if lossy else None,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.evaluation.ladder import StageError
 from slepian_prt.evaluation.provenance import versions
@@ -114,6 +115,8 @@ class Comparison:
         Background and exposure of the pictures.
     seconds : float
         That the whole comparison took.
+    compressed : CompressedTransfer or None
+        By the first method, as exactly as it was coded; None if that is not of our own kind.
     """
 
     transfer: Transfer
@@ -127,6 +130,7 @@ class Comparison:
     negative: dict[str, float]
     finish: Finish
     seconds: float
+    compressed: CompressedTransfer | None
 
     def results(self) -> dict[str, Any]:
         """What results.json holds; its names are stable."""

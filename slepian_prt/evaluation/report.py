@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,12 @@ from slepian_prt.evaluation.report_plots import plot_by_bytes, plot_by_terms, pl
 from slepian_prt.evaluation.sweep.report import front_context
 from slepian_prt.evaluation.sweep.results import Sweep
 from slepian_prt.files import check_folder, write_all
+from slepian_prt.viewer.page_file import make_page
+from slepian_prt.viewer.pages import PageWish, page_content
+from slepian_prt.viewer.payload import make_payload
+
+# The page beside the report, where one is wanted.
+VIEWER = "viewer.html"
 
 _GROUPED_BY = {
     "normal": "their normals",
@@ -34,17 +41,29 @@ def check_report(folder: str, inputs: Sequence[str | Path], environments: Sequen
     """Raise UserError unless a report can be written there, and none of its files in the place of an input."""
     check_folder(folder)
     plots = ("transfer_error", "relit_error", "error_by_bytes", "ladder")
-    names = {"report.html", "results.json", *(f"{name}.png" for name in plots)}
+    names = {"report.html", "results.json", VIEWER, *(f"{name}.png" for name in plots)}
     for source in map(Path, inputs):
         of_view = source.suffix == ".png" and any(source.name.startswith(f"{name}_") for name in environments)
         if source.exists() and source.parent.resolve() == Path(folder).resolve() and (source.name in names or of_view):
             raise UserError(f"{source}: is an input, and a file of the report has this name; choose another folder")
 
 
-def write_report(comparison: Comparison, folder: str | Path, command: str, sweep: Sweep | None = None) -> Path:
+def write_report(
+    comparison: Comparison,
+    folder: str | Path,
+    command: str,
+    sweep: Sweep | None = None,
+    viewer: PageWish | None = None,
+) -> Path:
     """Write report.html, results.json and the figures; return the path of the report.
 
-    Everything is made before the first byte is written. The report shows the Pareto fronts of a ``sweep`` too.
+    Everything is made before the first byte is written. The report shows the Pareto fronts of a ``sweep`` too, and
+    links to a page of the model, as of ``viewer``, with full SH behind a slider.
+
+    Raises
+    ------
+    UserError
+        The folder cannot be written to; the first method is none whose files can be viewed.
     """
     folder = Path(folder)
     figures = {
@@ -60,9 +79,19 @@ def write_report(comparison: Comparison, folder: str | Path, command: str, sweep
             files[f"{view['environment']}_{panel['file']}.png"] = panel["png"]
             files[f"{view['environment']}_{panel['error_file']}.png"] = panel["error_png"]
     files["results.json"] = (json.dumps(comparison.results(), indent=1) + "\n").encode()
-    files["report.html"] = _render(comparison, figures, views, command, sweep).encode()
+    if viewer is not None:
+        files[VIEWER] = _viewer_page(comparison, viewer)
+    files["report.html"] = _render(comparison, figures, views, command, sweep, VIEWER if viewer else None).encode()
     write_all(folder, files)
     return folder / "report.html"
+
+
+def _viewer_page(comparison: Comparison, wish: PageWish) -> bytes:
+    if comparison.compressed is None:
+        raise UserError(f"{comparison.methods[0].basis} is no basis whose files can be viewed; name another one first")
+    maps = tuple(view.environment for view in comparison.views)
+    content = page_content(comparison.compressed, replace(wish, maps=maps), comparison.transfer)
+    return make_page(content.title, make_payload(content))
 
 
 def _render(
@@ -71,6 +100,7 @@ def _render(
     views: list[dict[str, Any]],
     command: str,
     sweep: Sweep | None,
+    viewer: str | None,
 ) -> str:
     results = comparison.results()
     fronts = {} if sweep is None else front_context(sweep)
@@ -87,6 +117,7 @@ def _render(
         error_scale=ERROR_SCALE,
         scale_bar=encode_error_map(np.linspace(0.0, ERROR_SCALE, 256)[None].repeat(12, axis=0)),
         command=command,
+        viewer=viewer,
         name=Path(results["scene"]).name,
     )
 

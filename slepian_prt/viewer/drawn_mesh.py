@@ -15,7 +15,6 @@ from slepian_prt.relighting.drawing.camera import is_back
 from slepian_prt.relighting.files.surfaces import Surface
 from slepian_prt.scene.formats.parts import Texture
 from slepian_prt.scene.mesh import Mesh
-from slepian_prt.scene.reflectance.textures import encoded_image
 from slepian_prt.scene.scene import Part
 from slepian_prt.viewer.buffers import Buffers
 
@@ -167,17 +166,6 @@ def draw_mesh(mesh: Mesh, parts: Sequence[Part], surfaces: Sequence[Surface]) ->
         uv,
         tuple(textures.values()),
     )
-
-
-def texture_entry(buffers: Buffers, texture: Texture) -> dict[str, Any]:
-    """What the payload says of a texture: its file, which browsers read."""
-    content, suffix = encoded_image(texture)
-    mime = "image/png" if suffix == ".png" else "image/jpeg"
-    return {
-        "bytes": buffers.add(np.frombuffer(content, dtype=np.uint8)),
-        "mime": mime,
-        "wrap": list(texture.wrap),
-    }
 
 
 def _first_use(numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

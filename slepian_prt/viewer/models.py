@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 _UNORM = 65535.0
 
-# What a half float holds.
+# What a half float holds, and minus the exponent of its smallest number.
 _LARGEST_HALF = 65504.0
+_FINEST = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,7 @@ class Model:
             "caps": table.shape[0],
             "channels": transfer.channels,
             "bandlimit": transfer.bandlimit,
-            "table": buffers.add(table.astype(np.float16).reshape(-1, 1), "planes"),
+            "table": _table_entry(buffers, table),
             "zeros": buffers.add(transfer.zeros.astype(np.float32)),
             "bytes": buffers.add(transfer.vertices[chosen], "clusters"),
             "fixed": None if lamps is None else buffers.add(half, "planes"),
@@ -64,6 +65,18 @@ class Model:
             "stepError": transfer.error(),
             "relitError": transfer.relit_error(),
         }
+
+
+def _table_entry(buffers: Buffers, table: NDArray[np.float32]) -> dict[str, Any]:
+    """Functions, which are numbers of float16 and so multiples of a power of two, as whole numbers of the largest."""
+    whole = np.rint(table.ravel() * 2.0**_FINEST).astype(np.int64)
+    bits = int(np.bitwise_or.reduce(np.abs(whole), initial=0))
+    shift = (bits & -bits).bit_length() - 1 if bits else 0
+    whole >>= shift
+    kind = np.int16 if np.abs(whole).max(initial=0) < 2**15 else np.int32
+    if np.abs(whole).max(initial=0) >= 2**31:  # of all magnitudes that float16 has
+        return buffers.add(table.astype(np.float16).ravel(), "planes")
+    return buffers.add(whole.astype(kind), "folded", scale=2.0 ** (shift - _FINEST))
 
 
 def lamp_radiance(packed: CompressedTransfer, fixed_lights: float | Mapping[str, float]) -> NDArray[np.float32] | None:

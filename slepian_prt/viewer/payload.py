@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.viewer.buffers import Buffers
-from slepian_prt.viewer.drawn_mesh import DrawnMesh, texture_entry
+from slepian_prt.viewer.drawn_mesh import DrawnMesh
 from slepian_prt.viewer.light_maps import PageLight
 from slepian_prt.viewer.models import Model, film_entry
+from slepian_prt.viewer.page_textures import texture_entry
 from slepian_prt.viewer.statistics import remarks, statistics
 
 VERSION = 1
@@ -72,6 +73,8 @@ class Content:
     up : "y" or "z"
     notes : sequence of str
         Beside those that `remarks` makes.
+    words : callable
+        What sentences of the library, which name parameters, are for the reader of the page.
     """
 
     title: str
@@ -83,6 +86,7 @@ class Content:
     display: Display
     up: str
     notes: Sequence[str] = ()
+    words: Callable[[str], str] = str
 
 
 def make_payload(content: Content) -> bytes:
@@ -94,8 +98,8 @@ def make_payload(content: Content) -> bytes:
         "title": content.title,
         "generator": f"slepian_prt {version('slepian_prt')}",
         "bandlimit": max(model.packed.bandlimit for model in content.models),
-        "statistics": statistics(content.models),
-        "notes": [*remarks(first, textured=bool(textures)), *content.notes],
+        "statistics": statistics(content.models, content.words),
+        "notes": [content.words(note) for note in (*remarks(first, textured=bool(textures)), *content.notes)],
         "camera": content.camera,
         "up": content.up,
         "antialias": content.antialias,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from slepian_prt.compression.compressed import CompressedTransfer
@@ -16,14 +16,14 @@ from slepian_prt.viewer.models import Model
 Section = list[str | list[list[str]]]
 
 
-def statistics(models: Sequence[Model]) -> list[Section]:
-    """Sections of text about the models of a page, the first at length."""
+def statistics(models: Sequence[Model], words: Callable[[str], str]) -> list[Section]:
+    """Sections of text about the models of a page, the first at length; ``words`` puts names of parameters in words."""
     packed, transfer = models[0].packed, models[0].transfer
     sections = [
         _section("Model", _model(packed)),
         _section("Bytes", _bytes(packed, transfer)),
         _section("Error", _errors(packed, transfer)),
-        _section("Light transport", [[effect.name, _effect(effect)] for effect in packed.effects]),
+        _section("Light transport", [[words(effect.name), words(_effect(effect))] for effect in packed.effects]),
     ]
     for other in models[1:]:
         rows = [*_model(other.packed), *_errors(other.packed, other.transfer)]
@@ -34,9 +34,9 @@ def statistics(models: Sequence[Model]) -> list[Section]:
 def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     """What the page does not draw as the scene has it."""
     said = [f"Repaired in the mesh: {note}." for note in packed.notes]
-    lacking = missing_in_picture(packed)
+    lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith("texture between"))]
     if lacking and packed.film is None:
-        said.append(f"Drawn plainly, without what the file does not hold: {', '.join(lacking)}.")
+        said.append(f"Drawn plainly, without what the file does not hold: {'; '.join(lacking)}.")
     if packed.toward_view and packed.view is not None:
         said.append(
             f"This is light toward the camera '{packed.view.name}', which other places do not see: it is drawn from "

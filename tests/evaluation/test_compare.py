@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from slepian_prt.files import check_folder
 from slepian_prt.lighting.environment import make_environment
 from slepian_prt.relighting.drawing.pictures import Picture
 from slepian_prt.transport.settings import TransportSettings
+from slepian_prt.viewer.pages import PageWish
 from tests.conftest import bumpy
 
 METHOD_FIELDS = {
@@ -101,6 +103,16 @@ def test_report_needs_nothing_else(comparison, tmp_path):
     assert "entropy-coded" in html
     assert json.loads((tmp_path / "out" / "results.json").read_text())["vertices"] == 642
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.endswith(".part")]
+
+
+@pytest.mark.slow
+def test_report_links_to_a_page_of_the_model(comparison, tmp_path):
+    page = write_report(comparison, tmp_path, "command", viewer=PageWish())
+    assert 'href="viewer.html"' in page.read_text()
+    assert 'id="payload"' in (tmp_path / "viewer.html").read_text()
+    with pytest.raises(UserError, match="is no basis whose files can be viewed"):
+        write_report(replace(comparison, compressed=None), tmp_path / "other", "command", viewer=PageWish())
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.slow

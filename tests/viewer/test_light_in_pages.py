@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slepian_prt.compression.stream import compress
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.texel_projection import TexelProjection
 from slepian_prt.lighting.windowing import WINDOWS, window, windowed
 from slepian_prt.relighting.damping import damp
 from slepian_prt.relighting.relight import negative_fraction
+from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.transfer import Transfer, precompute
@@ -233,3 +235,40 @@ def test_receivers_that_are_drawn_several_times_count_once(modules, rng):
     assert once == negative_fraction(radiance[counted])
     assert all_drawn == negative_fraction(radiance)
     assert once != all_drawn
+
+
+def test_negative_vertices_of_a_large_model(modules, rng):
+    model, light = random_model(rng, 3, vertices=10_000), rng.normal(size=(3, 16))
+    reflectance = rng.integers(0, 65536, (10_000, 3)).astype(np.uint16)
+    body = """
+    const { lightFunctions } = await import("#light"), { negativeFraction } = await import("#radiance");
+    return negativeFraction(model, lightFunctions(model, light), { reflectance });
+    """
+    found = modules.run(body, model=model, light=light, reflectance=reflectance)
+    radiance = np.einsum("vcm,cm->vc", decode(model, 8), light) * (reflectance / 65535.0)
+    assert abs(found - negative_fraction(radiance)) <= 1.5 / 10_000  # one may round to either side of the bound
+
+
+def test_a_file_for_shaders_is_lit_as_python_lights_it(ringing, modules):
+    transfer, light = ringing
+    packed = gpu_transfer(compress(transfer, tolerance=0.05, clusters=8), functions=16)
+    body = """
+    const { lightFunctions } = await import("#light"), { radianceOfVertices } = await import("#radiance");
+    const lit = lightFunctions(model, light);
+    return [lit, radianceOfVertices(model, lit)];
+    """
+    model = {
+        "functions": packed.function_count,
+        "caps": packed.cap_count,
+        "channels": packed.channels,
+        "table": packed.functions,
+        "zeros": packed.zeros,
+        "bytes": packed.vertices,
+    }
+    lit, radiance = modules.run(body, model=model, light=light)
+    table = lit.reshape(packed.cap_count, packed.function_count, 4)[..., :3]
+    # Python adds up in float32: the products of a function and a light, those of the zeros, and those of the bytes.
+    size = float(np.abs(light).sum(axis=1).max() * np.abs(packed.functions).max())
+    assert_rounded(table, packed.light(light), terms=16 + 16, size=size)
+    largest = float(np.abs(table).sum(axis=1).max())
+    assert_rounded(radiance.reshape(-1, 3), packed.relight(light), terms=16 + 32, size=max(size, largest))

@@ -1,4 +1,4 @@
-"""What the page takes of three.js: the vendored file stands as the script made it, works alone, and names its licences."""
+"""What the page takes of three.js: the vendored file holds what is asked for, works alone, and carries its licences."""
 
 from __future__ import annotations
 

@@ -73,11 +73,10 @@ async function placeInDisplay(stored, { data: window, display }, convert) {
 }
 
 // Decoding takes up to seconds and cannot be interrupted: it goes to a thread of its own.
-const WORKER = kit => `
-  import { EXRLoader, FloatType } from ${JSON.stringify(kit)};
+const WORKER = `
   onmessage = ({ data: file }) => {
     try {
-      const { data } = new EXRLoader().setDataType(FloatType).parse(file.buffer);
+      const { data } = new kit.EXRLoader().setDataType(kit.FloatType).parse(file.buffer);
       postMessage({ texels: data }, [data.buffer]);
     } catch {
       postMessage({ damaged: true });
@@ -102,18 +101,24 @@ async function decode(file) {
 
 /** A worker that is ready; null where a browser gives pages from a disk none. */
 async function startWorker() {
-  const url = URL.createObjectURL(new Blob([WORKER(import.meta.resolve("three-kit"))], { type: "text/javascript" }));
   try {
-    const worker = new Worker(url, { type: "module" });
+    const url = URL.createObjectURL(new Blob([await kitAsScript(), WORKER], { type: "text/javascript" }));
+    const worker = new Worker(url);
     return await new Promise(resolve => {
       worker.onmessage = () => resolve(worker);
       worker.onerror = () => resolve(null);
-    });
+    }).finally(() => URL.revokeObjectURL(url));
   } catch {
     return null;
-  } finally {
-    URL.revokeObjectURL(url);
   }
+}
+
+/** The vendored module as a script with a constant `kit`: workers of pages from a disk may not be modules. */
+async function kitAsScript() {
+  const source = await (await fetch(import.meta.resolve("three-kit"))).text();
+  return source.replace(/export\s*\{([^}]*)\};?\s*$/, (_, names) => {
+    return `const kit = {${names.replace(/([\w$]+) as ([\w$]+)/g, "$2: $1")}};`;
+  });
 }
 
 async function decodeHere(file) {

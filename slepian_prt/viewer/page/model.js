@@ -10,12 +10,11 @@ import { transferFragment, transferVertex, wordAttributes } from "#shaders";
 const WRAPS = { repeat: RepeatWrapping, clamp: ClampToEdgeWrapping, mirror: MirroredRepeatWrapping };
 
 /**
- * What is drawn of a model, and the texture that its light is in.
+ * What is drawn of a model.
  *
  * @typedef {object} LitModel
  * @property {Group} group
- * @property {DataTexture} lit - K x C, RGBA float32: what `lightFunctions` gives.
- * @property {object} uniforms - Shared by its materials: `lit`, `used`, `lamps`.
+ * @property {object} uniforms - Shared by its materials: `lit`, a texture as of `litTexture`, and `lamps`.
  */
 
 /**
@@ -39,7 +38,7 @@ export function ballAround(geometries) {
   return { middle, radius: Math.max(0.5 * low.distanceTo(high), 1e-30) };
 }
 
-/** A texture of K x C lit functions. */
+/** A texture of K x C lit functions, RGBA float32: what `lightFunctions` gives. */
 export function litTexture(model) {
   const { functions: width, caps: height } = model;
   const texture = new DataTexture(new Float32Array(4 * width * height), width, height, RGBAFormat, FloatType);
@@ -75,8 +74,7 @@ export function wordsOf(bytes, count, { offset, size }) {
  * @returns {LitModel}
  */
 export function buildModel(model, geometry, textures) {
-  const lit = litTexture(model);
-  const uniforms = { lit: { value: lit }, used: { value: model.functions }, lamps: { value: 1 } };
+  const uniforms = { lit: { value: null }, lamps: { value: 1 } };
   const shape = buildGeometry(model, geometry);
   const materials = [];
   // With a texture anywhere Python multiplies reflectance where it is seen everywhere.
@@ -91,7 +89,7 @@ export function buildModel(model, geometry, textures) {
   mesh.position.fromArray(geometry.center);
   const group = new Group();
   group.add(mesh);
-  return { group, lit, uniforms };
+  return { group, uniforms };
 }
 
 function buildGeometry(model, geometry) {

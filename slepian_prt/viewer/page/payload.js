@@ -4,6 +4,8 @@
  */
 
 const ARRAYS = {
+  int16: Int16Array,
+  int32: Int32Array,
   uint8: Uint8Array,
   uint16: Uint16Array,
   uint32: Uint32Array,
@@ -60,14 +62,18 @@ const CODINGS = {
     return new ARRAYS[type](bytes.slice().buffer);
   },
   planes: fromPlanes,
+  folded(bytes, entry) {
+    const folded = fromPlanes(bytes, { ...entry, type: `u${entry.type}` });
+    const numbers = new ARRAYS[entry.type](folded.length);
+    for (let i = 0; i < folded.length; i++) numbers[i] = unfolded(folded[i]);
+    return numbers;
+  },
   steps(bytes, entry) {
     const numbers = fromPlanes(bytes, entry);
     const { columns } = entry;
     // Typed arrays wrap as the differences do.
     for (let i = 0; i < numbers.length; i++) {
-      const folded = numbers[i];
-      const change = (folded >>> 1) ^ -(folded & 1);
-      numbers[i] = i < columns ? change : numbers[i - columns] + change;
+      numbers[i] = unfolded(numbers[i]) + (i < columns ? 0 : numbers[i - columns]);
     }
     return numbers;
   },
@@ -96,6 +102,11 @@ const CODINGS = {
     return numbers;
   },
 };
+
+/** 0, -1, 1, -2, … from 0, 1, 2, 3, … */
+function unfolded(number) {
+  return (number >>> 1) ^ -(number & 1);
+}
 
 /** Numbers from bytes (columns, bytes of a number, rows). */
 function fromPlanes(bytes, { type, rows, columns }) {

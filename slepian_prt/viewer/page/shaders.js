@@ -12,7 +12,6 @@
 export function radianceSum(count) {
   return `
 uniform highp sampler2D lit;
-uniform int used;
 
 uint capOf(uint words[${count / 4}]) {
   return words[${count / 4 - 1}] >> 24;
@@ -21,8 +20,7 @@ uint capOf(uint words[${count / 4}]) {
 vec3 radianceOf(uint words[${count / 4}]) {
   int cap = int(capOf(words));
   vec3 radiance = texelFetch(lit, ivec2(0, cap), 0).rgb;
-  int last = min(used, ${count}) - 1;
-  for (int k = 0; k < last; ++k) {
+  for (int k = 0; k < ${count - 1}; ++k) {
     float coefficient = float((words[k >> 2] >> uint(8 * (k & 3))) & 255u) / 255.0;
     radiance += coefficient * texelFetch(lit, ivec2(k + 1, cap), 0).rgb;
   }
