@@ -69,6 +69,7 @@ def test_what_is_read_relights_as_the_file_does(tmp_path, packed, light, attribu
     found = bytes_of(glb, primitive)
     assert_exact(found, gpu.vertices, "bytes, copied")
     told = glb.root["extras"]["slepian_prt"]
+    assert (told["functions"]["dtype"], told["zeros"]["dtype"]) == ("float16", "float32")
     assert_exact(glb.array(told["functions"]), gpu.functions, "numbers of float16")
     assert_exact(glb.array(told["zeros"]), gpu.zeros, "copied")
     assert told["error"]["ofThis"] == exported.error == gpu.error()
