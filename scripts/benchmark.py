@@ -8,6 +8,7 @@ from benchmarks.accuracy import accuracy
 from benchmarks.all_views import all_views
 from benchmarks.compression import compression
 from benchmarks.files import files
+from benchmarks.page_files import page_files
 from benchmarks.pages import pages
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
@@ -28,6 +29,7 @@ BENCHMARKS = {
     "accuracy": accuracy,
     "paths": paths,
     "pages": pages,
+    "page_files": page_files,
     "smoothing": smoothing,
     "all_views": all_views,
     "dragons": dragons,

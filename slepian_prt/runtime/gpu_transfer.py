@@ -176,8 +176,8 @@ def gpu_transfer(
     bits : int in [2, 8]
         Of a coefficient, which takes a byte all the same: fewer make it compress better.
     caps : int in [1, 255], optional
-        At most so many. By default up to 255, as long as their functions are not more numbers than vertices have bytes,
-        but no fewer than the file has.
+        At most so many. By default up to 255, as long as the functions of a channel are not more numbers than vertices
+        have bytes, but no fewer than the file has.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def gpu_transfer(
     bits = check_integer(bits, "bits", 2, 8)
     packed = _compressed(transfer)
     if caps is None:
-        affordable = packed.vertex_count // (packed.channels * num_coefficients(packed.bandlimit))
+        affordable = packed.vertex_count // num_coefficients(packed.bandlimit)
         caps = min(LARGEST_CAPS, max(affordable, packed.cap_count))
     caps = check_integer(caps, "caps", 1, LARGEST_CAPS)
     prior = packed.prior_weights

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.scene.film import Film
+from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.viewer.buffers import Buffers
 
 if TYPE_CHECKING:
@@ -42,9 +43,23 @@ class Model:
     transfer: GpuTransfer
     lamps: NDArray[np.float32] | None
 
-    def entry(self, buffers: Buffers, geometry: int | None, receivers: NDArray[np.int64] | None) -> dict[str, Any]:
-        """What the payload says of it; ``receivers`` (N,) are those of the drawn vertices, None for all of them."""
+    def entry(
+        self, buffers: Buffers, bandlimit: int, geometry: int | None, receivers: NDArray[np.int64] | None
+    ) -> dict[str, Any]:
+        """What the payload says of it.
+
+        Parameters
+        ----------
+        buffers : Buffers
+        bandlimit : int
+            Of the lights of the page: functions of a lower one have zeros behind.
+        geometry : int or None
+        receivers : (N,)
+            Those of the drawn vertices; None for all of them.
+        """
         transfer, table = self.transfer, self.transfer.functions
+        more = num_coefficients(bandlimit) - table.shape[3]
+        table = np.pad(table, ((0, 0), (0, 0), (0, 0), (0, more)))
         chosen = slice(None) if receivers is None else receivers
         lamps = self.lamps
         if lamps is not None:

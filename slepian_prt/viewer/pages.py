@@ -280,7 +280,7 @@ def _textures(
 ) -> SurfaceDetail | None:
     """Those of what the transfer was made from, which has no other use here."""
     if find_source(packed, file, wish.scene) is None:
-        if lacks_textures(packed):
+        if lacks_textures(packed) and not packed.toward_view:
             report(f"{packed.source} is not found, so its textures are drawn as vertices have them; name its `scene`")
         return None
     source = locate_source(mi, packed, wish.scene, file, report)

@@ -88,6 +88,11 @@ class Content:
     notes: Sequence[str] = ()
     words: Callable[[str], str] = str
 
+    @property
+    def bandlimit(self) -> int:
+        """Of the lights: the highest of the models."""
+        return max(model.packed.bandlimit for model in self.models)
+
 
 def make_payload(content: Content) -> bytes:
     """The payload of a page."""
@@ -97,7 +102,7 @@ def make_payload(content: Content) -> bytes:
         "version": VERSION,
         "title": content.title,
         "generator": f"slepian_prt {version('slepian_prt')}",
-        "bandlimit": max(model.packed.bandlimit for model in content.models),
+        "bandlimit": content.bandlimit,
         "statistics": statistics(content.models, content.words),
         "notes": [content.words(note) for note in (*remarks(first, textured=bool(textures)), *content.notes)],
         "camera": content.camera,
@@ -122,14 +127,14 @@ def _geometry(buffers: Buffers, content: Content) -> tuple[list[Any], list[Any],
     models = []
     for number, model in enumerate(content.models):
         if not content.drawn:
-            models.append(model.entry(buffers, None, None))
+            models.append(model.entry(buffers, content.bandlimit, None, None))
             continue
         drawn = content.drawn[number]
         known = [mesh.faces is drawn.faces for mesh in meshes]
         if not any(known):
             meshes.append(drawn)
             known.append(True)
-        models.append(model.entry(buffers, known.index(True), drawn.receivers))
+        models.append(model.entry(buffers, content.bandlimit, known.index(True), drawn.receivers))
     geometries: list[Any] = []
     textures: list[Any] = []
     for drawn in meshes:

@@ -196,11 +196,18 @@ def test_another_model_has_a_mesh_of_its_own_and_another_bandlimit(sky):
     from tests.conftest import sphere
 
     other = sp.precompute(sphere(1), bandlimit=3, samples=16)
-    read, _ = payload_of(tiny(), [sky], other)
+    read, content = payload_of(tiny(), [sky], other)
     assert [model["geometry"] for model in read["models"]] == [0, 1]
     assert [model["bandlimit"] for model in read["models"]] == [2, 3]
     assert read["bandlimit"] == 3
-    assert read["lights"][0]["coefficients"].size == 3 * 16
+    light = read["lights"][0]["coefficients"].reshape(3, -1)
+    assert light.shape == (3, 16)
+    # One table of lit functions for each, whatever its bandlimit: those of the lower one have zeros behind.
+    for model, given, drawn in zip(read["models"], content.models, content.drawn, strict=True):
+        assert model["table"].size == model["caps"] * model["functions"] * 16
+        size = (given.transfer.bandlimit + 1) ** 2
+        wanted = given.transfer.relight(light[:, :size])[drawn.receivers]
+        np.testing.assert_allclose(radiance_in(model, light), wanted, atol=16 * 16 * 2.0**-24 * wanted.max())
 
 
 def test_what_is_told_is_text(sky):

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from slepian_prt.relighting.drawing import camera
-from slepian_prt.relighting.drawing.camera import back_vertices, is_back, relit_camera
+from slepian_prt.relighting.drawing.camera import back_vertices, is_back, relit_camera, relit_view
 from slepian_prt.relighting.drawing.pixel_rays import widened
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import make_mesh
@@ -47,6 +47,14 @@ def test_the_back_of_a_surface_with_one_side_is_left_out(sheet):
     camera = relit_camera(sheet, 32, Aim(((3.0, 0.0, -5.0), (3.0, 0.0, 0.0)), 10.0))
     assert not camera.alpha.any()
     np.testing.assert_allclose(camera.behind, 1.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("aim", [Aim(), Aim(((0.0, 1.0, 5.0), (0.0, 0.0, 0.0)), 20.0), Aim(up="z")], ids=str)
+def test_the_view_is_that_which_is_traced(sheet, aim, monkeypatch):
+    traced = []
+    monkeypatch.setattr(camera, "trace_camera", lambda scene, *_args, **_options: traced.append(scene.view))
+    relit_camera(sheet, 64, aim)
+    assert traced == [relit_view(sheet, aim, 64)]
 
 
 def many_rays(camera_scene, **options):
