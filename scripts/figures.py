@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 
 import matplotlib
@@ -149,6 +151,28 @@ def captured() -> None:
         axis.axis("off")
     figure.subplots_adjust(wspace=0.02)
     save(figure, "captured")
+
+
+def viewer() -> None:
+    """The page of the shipped scene in Chromium: few functions beside full SH, and what the panel says."""
+    from playwright.sync_api import sync_playwright  # only here: other figures need no browser
+
+    transfer = sp.precompute(ROOT / "scenes" / "knot.ply", bandlimit=10, samples=1024)
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+        page_file = Path(folder) / "knot.html"
+        packed = sp.compress(transfer, tolerance=0.02)
+        sp.save_page(page_file, packed, ROOT / "scenes" / "sky.exr", compare_with=transfer)
+        options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=options)
+        page = browser.new_page(viewport={"width": 1200, "height": 760})
+        page.goto(f"{page_file.as_uri()}#mode=split&compare=model&functions=4&turn=-30&split=0.37&background=%23e4e7ea")
+        page.wait_for_timeout(_AT_REST)
+        write("viewer", page.screenshot())
+        browser.close()
+
+
+# Milliseconds after which a page has drawn all that it will.
+_AT_REST = 8000
 
 
 def accuracy() -> None:
@@ -365,6 +389,7 @@ FIGURE_MAKERS = {
     "clean": clean,
     "effects": effects,
     "captured": captured,
+    "viewer": viewer,
     "accuracy": accuracy,
     "ladder": ladder,
     "paper_figure_2": paper_figure_2,

@@ -1,28 +1,9 @@
 /** A captured picture: its pixels are receivers, lit from the run-time format like the vertices of a model. */
 
-import { DataTexture, FloatType, NearestFilter, RGBAFormat, RGBAIntegerFormat, UnsignedIntType } from "three-kit";
+import { DataTexture, FloatType, NearestFilter, RGBAFormat } from "three-kit";
 import { LOOK_UP, mapUniforms } from "#backdrop";
 import { pictureMaterial } from "#passes";
-import { radianceSum } from "#shaders";
-
-/**
- * Bytes of pixels as a texture: one above the other, 16 bytes of all pixels each, rows from the top.
- *
- * @param {{functions: number, bytes: Uint8Array}} model
- * @param {{width: number, height: number}} film
- */
-function wordTexture({ functions, bytes }, { width, height }) {
-  const layers = Math.ceil(functions / 16);
-  const words = new Uint8Array(16 * width * height * layers);
-  for (let pixel = 0; pixel < width * height; ++pixel) {
-    for (let layer = 0; layer < layers; ++layer) {
-      const from = pixel * functions + 16 * layer;
-      const part = bytes.subarray(from, Math.min(from + 16, (pixel + 1) * functions));
-      words.set(part, 16 * (layer * width * height + pixel));
-    }
-  }
-  return dataTexture(new Uint32Array(words.buffer), width, height * layers, RGBAIntegerFormat, UnsignedIntType);
-}
+import { radianceSum, wordTexture } from "#receivers";
 
 function dataTexture(data, width, height, format, type) {
   const texture = new DataTexture(data, width, height, format, type);
@@ -32,15 +13,10 @@ function dataTexture(data, width, height, format, type) {
 }
 
 function filmFragment(count, hasFixed) {
-  const reads = Array.from({ length: count / 4 }, (_, i) => (
-    `words[${i}] = texelFetch(bytes, ivec2(x, y + ${Math.floor(i / 4)} * rows), 0)[${i % 4}];`
-  ));
   return `
 precision highp float;
 precision highp int;
-precision highp usampler2D;
 in vec2 at;
-uniform usampler2D bytes;
 uniform sampler2D known;
 uniform sampler2D colours;
 uniform bool showsCaps;
@@ -51,11 +27,10 @@ ${radianceSum(count)}
 void main() {
   int x = int(gl_FragCoord.x);
   int y = rows - 1 - int(gl_FragCoord.y);
-  uint words[${count / 4}];
-  ${reads.join("\n  ")}
+  readWords(ivec2(x, y), rows);
   vec4 here = texelFetch(known, ivec2(x, y), 0);
-  vec3 light = radianceOf(words)${hasFixed ? " + lamps * here.rgb" : ""};
-  pixel = showsCaps ? texelFetch(colours, ivec2(int(capOf(words)), 0), 0) * here.a : vec4(light, here.a);
+  vec3 light = radianceOfWords()${hasFixed ? " + lamps * here.rgb" : ""};
+  pixel = showsCaps ? texelFetch(colours, ivec2(capOfWords(), 0), 0) * here.a : vec4(light, here.a);
 }
 `;
 }
@@ -69,7 +44,7 @@ export function filmMaterial(model, film, colours) {
     known[4 * i + 3] = coverage[i];
   }
   return pictureMaterial(filmFragment(model.functions, model.fixed !== null), {
-    bytes: { value: wordTexture(model, film) },
+    bytes: { value: wordTexture(model, width).texture },
     known: { value: dataTexture(known, width, height, RGBAFormat, FloatType) },
     colours: { value: colours },
     showsCaps: { value: false },

@@ -35,9 +35,7 @@ function followSize(viewer) {
   const { canvas } = viewer;
   const follow = () => {
     const ratio = Math.min(devicePixelRatio, 2);
-    viewer.renderer.setSize(
-      Math.max(2, Math.round(canvas.clientWidth * ratio)), Math.max(2, Math.round(canvas.clientHeight * ratio)), false,
-    );
+    viewer.pixels = [canvas.clientWidth, canvas.clientHeight].map((size) => Math.max(2, Math.round(size * ratio)));
     cover(viewer);
   };
   new ResizeObserver(follow).observe(canvas);

@@ -1,11 +1,12 @@
-/** A model of the payload as three.js meshes, whose vertices are lit in the vertex shader. */
+/** A model of the payload as three.js meshes, whose vertices are lit by the GPU. */
 
 import {
   BufferAttribute, BufferGeometry, ClampToEdgeWrapping, DataTexture, DoubleSide, FloatType, FrontSide, GLSL3, Group,
   LinearFilter, Mesh, MirroredRepeatWrapping, NearestFilter, NoBlending, RawShaderMaterial, RepeatWrapping, RGBAFormat,
   SRGBColorSpace, Sphere, Texture, Vector3,
 } from "three-kit";
-import { transferFragment, transferVertex, wordAttributes } from "#shaders";
+import { ReceiverRadiance } from "#receivers";
+import { transferFragment, transferVertex } from "#shaders";
 
 const WRAPS = { repeat: RepeatWrapping, clamp: ClampToEdgeWrapping, mirror: MirroredRepeatWrapping };
 
@@ -14,7 +15,8 @@ const WRAPS = { repeat: RepeatWrapping, clamp: ClampToEdgeWrapping, mirror: Mirr
  *
  * @typedef {object} LitModel
  * @property {Group} group
- * @property {object} uniforms - Shared by its materials: `lit`, a texture as of `litTexture`, and `lamps`.
+ * @property {object} uniforms - Shared by its materials: `white`, what `radiance` gives, and `lamps`.
+ * @property {ReceiverRadiance} radiance
  */
 
 /**
@@ -48,24 +50,6 @@ export function litTexture(model) {
 }
 
 /**
- * Bytes of all receivers as the words that the shader fetches.
- *
- * @param {Uint8Array} bytes - (N, K)
- * @param {number} count - K
- * @param {{offset: number, size: number}} part - As of `wordAttributes`.
- * @returns {Uint32Array} (N, size)
- */
-export function wordsOf(bytes, count, { offset, size }) {
-  const all = new Uint32Array(bytes.slice().buffer); // little-endian, as all that runs WebGL is
-  if (count === 4 * size) return all;
-  const words = new Uint32Array((all.length / (count / 4)) * size);
-  for (let from = offset, to = 0; to < words.length; from += count / 4, to += size) {
-    for (let i = 0; i < size; ++i) words[to + i] = all[from + i];
-  }
-  return words;
-}
-
-/**
  * Build what is drawn of a model.
  *
  * @param {object} model - Of the payload.
@@ -74,7 +58,7 @@ export function wordsOf(bytes, count, { offset, size }) {
  * @returns {LitModel}
  */
 export function buildModel(model, geometry, textures) {
-  const uniforms = { lit: { value: null }, lamps: { value: 1 } };
+  const uniforms = { white: { value: null }, lamps: { value: 1 } };
   const shape = buildGeometry(model, geometry);
   const materials = [];
   // With a texture anywhere Python multiplies reflectance where it is seen everywhere.
@@ -89,16 +73,13 @@ export function buildModel(model, geometry, textures) {
   mesh.position.fromArray(geometry.center);
   const group = new Group();
   group.add(mesh);
-  return { group, uniforms };
+  return { group, uniforms, radiance: new ReceiverRadiance(model) };
 }
 
 function buildGeometry(model, geometry) {
   const shape = new BufferGeometry();
   shape.setAttribute("position", new BufferAttribute(geometry.positions, 3));
   shape.setIndex(new BufferAttribute(geometry.faces, 1));
-  for (const part of wordAttributes(model.functions)) {
-    shape.setAttribute(part.name, new BufferAttribute(wordsOf(model.bytes, model.functions, part), part.size));
-  }
   if (geometry.reflectance) shape.setAttribute("reflectance", new BufferAttribute(geometry.reflectance, 3, true));
   if (geometry.uv) shape.setAttribute("uv", new BufferAttribute(geometry.uv, 2));
   if (model.fixed) shape.setAttribute("fixedRadiance", new BufferAttribute(model.fixed, 3));
@@ -108,7 +89,6 @@ function buildGeometry(model, geometry) {
 
 function surfaceMaterial(model, geometry, { perPixel, image, isBack, uniforms }) {
   const kind = {
-    count: model.functions,
     perPixel,
     hasTexture: image !== null,
     hasReflectance: geometry.reflectance !== null,

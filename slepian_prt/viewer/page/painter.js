@@ -10,9 +10,10 @@ const LOOKS = 3;
 
 /** The sum of frames, each with a weight. */
 class Sum {
-  constructor(isExact) {
-    this.isExact = isExact;
-    this._targets = [radianceTarget({ isExact, isSmooth: !isExact }), radianceTarget({ isExact, isSmooth: !isExact })];
+  constructor(isExact, isSmooth) {
+    this.isExact = isExact && !isSmooth;
+    // Float32 is not interpolated by all machines.
+    this._targets = [0, 1].map(() => radianceTarget({ isExact: this.isExact, isSmooth }));
     this._material = pictureMaterial(ADDING_FRAGMENT, {
       sum: { value: null }, frame: { value: null }, weight: { value: 0 }, first: { value: true },
     });
@@ -23,8 +24,7 @@ class Sum {
     return this._targets[0];
   }
 
-  restart(width, height) {
-    this.count = 0;
+  setSize(width, height) {
     for (const target of this._targets) target.setSize(width, height);
   }
 
@@ -64,12 +64,14 @@ export class Painter {
     this.passes = new Passes(renderer);
     this.composite = compositeMaterial();
     // Half floats round a sum of 64 frames by a step of the screen: float32 where it can be drawn into.
-    const isExact = renderer.extensions.has("EXT_color_buffer_float");
-    this._sums = [new Sum(isExact), new Sum(isExact)];
-    const { hasDepth = true } = stage;
-    this._frame = radianceTarget({ hasDepth, isSmooth: false });
-    this._quick = [radianceTarget({ hasDepth, samples: 4 }), radianceTarget({ hasDepth, samples: 4 })];
-    this._backdrop = radianceTarget();
+    const { isExact } = this.passes;
+    // Interpolated only where the canvas has other pixels than the picture: it takes long without a graphics card.
+    const { hasDepth = true, isScaled: isSmooth = false } = stage;
+    this._sums = [new Sum(isExact, isSmooth), new Sum(isExact, isSmooth)];
+    this._frame = radianceTarget({ hasDepth, isSmooth });
+    this._rough = [0, 1].map(() => radianceTarget({ hasDepth, isSmooth }));
+    this._quick = [0, 1].map(() => radianceTarget({ hasDepth, isSmooth, samples: 4 }));
+    this._backdrop = radianceTarget({ isSmooth });
   }
 
   /** Looks of a finished picture. */
@@ -86,27 +88,27 @@ export class Painter {
   restart(scenery) {
     this._scenery = scenery;
     const [width, height] = this.stage.size([scenery.view.width, scenery.view.height]);
-    for (const sum of this._sums) sum.restart(width, height);
-    this._isQuiet = false;
-    this._frame.setSize(width, height);
+    for (const sum of this._sums) sum.count = 0;
     this._size = [width, height];
   }
 
-  /** Draw one quick picture. */
-  drawQuick() {
+  /** Draw one quick picture; a rough one has jagged edges. */
+  drawQuick(isRough = false) {
+    const targets = isRough ? this._rough : this._quick;
     const { parts } = this._scenery;
     for (const [i, part] of parts.entries()) {
-      this._quick[i].setSize(...this._size);
-      this._drawParts(part, this._quick[i], [0, 0]);
+      targets[i].setSize(...this._size);
+      this._drawParts(part, targets[i], [0, 0]);
     }
     this._drawBackdrop(1);
-    this._use(parts.map((_, i) => this._quick[i].texture));
+    this._use(parts.map((_, i) => targets[i].texture));
   }
 
   /** Add some looks; the picture that is used is that of the sums once they are complete. */
   addLooks(count) {
     const { parts } = this._scenery;
     const last = Math.min(this.done + count, this.looks);
+    if (this.done === 0) for (const target of [...this._sums, this._frame]) target.setSize(...this._size);
     for (let look = this.done; look < last; ++look) {
       const [x, y, weight] = this.stage.antialias[look];
       for (const [i, part] of parts.entries()) {
@@ -115,8 +117,7 @@ export class Painter {
       }
     }
     if (this.done < this.looks) return;
-    if (!this._isQuiet) this._drawBackdrop(LOOKS);
-    this._isQuiet = true;
+    this._drawBackdrop(LOOKS);
     this._use(parts.map((_, i) => this._sums[i].target.texture));
   }
 
@@ -138,7 +139,7 @@ export class Painter {
       target.scissorTest = parts.length > 1;
       if (i === 0) target.scissor.set(0, 0, parts.length > 1 ? middle : width, height);
       else target.scissor.set(middle, 0, width - middle, height);
-      this.stage.show(part);
+      this.stage.show(this.passes, part);
       this.stage.draw(this.passes, target, this._scenery.view, shift);
     });
     target.scissorTest = false;

@@ -19,6 +19,8 @@ export class Passes {
   /** @param {import("three-kit").WebGLRenderer} renderer */
   constructor(renderer) {
     this.renderer = renderer;
+    // Whether float32 can be drawn into.
+    this.isExact = renderer.extensions.has("EXT_color_buffer_float");
     const triangle = new BufferGeometry();
     triangle.setAttribute("position", new BufferAttribute(new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]), 3));
     this._mesh = new Mesh(triangle);

@@ -2,7 +2,8 @@
 
 /** Save the picture as it is seen, finished, as .png; without a background it is transparent. */
 export async function savePicture(viewer) {
-  const { width, height } = viewer.payload.film ?? viewer.canvas;
+  const { film } = viewer.payload;
+  const [width, height] = film ? [film.width, film.height] : viewer.pixels;
   const picture = await viewer.takePicture({ width, height });
   const canvas = Object.assign(document.createElement("canvas"), { width, height });
   canvas.getContext("2d").putImageData(picture, 0, 0);

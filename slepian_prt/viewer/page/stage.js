@@ -37,16 +37,17 @@ export class ModelStage {
   }
 
   /**
+   * @param {import("#passes").Passes} passes
    * @param {{model: number, lit?: DataTexture, lamps?: number}} what - Without `lit` its caps.
    */
-  show({ model, lit, lamps = 1 }) {
+  show(passes, { model, lit, lamps = 1 }) {
     this._scene.clear();
     if (lit === undefined) {
       this._scene.add(this._capsOf(model));
       return;
     }
-    const { group, uniforms } = this._models[model];
-    uniforms.lit.value = lit;
+    const { group, uniforms, radiance } = this._models[model];
+    uniforms.white.value = radiance.under(passes, lit);
     uniforms.lamps.value = lamps;
     this._scene.add(group);
   }
@@ -79,6 +80,8 @@ export class FilmStage {
     const { film, models } = payload;
     this._film = film;
     this.antialias = [[0, 0, 1]];
+    this.isScaled = true;
+    this.hasDepth = false;
     this.backdrop = filmBackdropMaterial(film);
     this._materials = models.map((model) => filmMaterial(model, film, colourTexture(model.caps)));
     this._shown = this._materials[0];
@@ -88,7 +91,7 @@ export class FilmStage {
     return [this._film.width, this._film.height];
   }
 
-  show({ model, lit, lamps = 1 }) {
+  show(passes, { model, lit, lamps = 1 }) {
     this._shown = this._materials[model];
     const { uniforms } = this._shown;
     uniforms.showsCaps.value = lit === undefined;

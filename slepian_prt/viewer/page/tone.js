@@ -4,9 +4,10 @@
 export const TONE = `
 vec3 rollOff(vec3 linear) {
   linear = max(linear, 0.0);
-  // The argument is at most 40: tanh of more overflows on some machines.
-  vec3 beyond = min((linear - 0.8) / 0.2, 40.0);
-  return mix(linear, 0.8 + 0.2 * tanh(beyond), vec3(greaterThan(linear, vec3(0.8))));
+  if (all(lessThanEqual(linear, vec3(0.8)))) return linear;
+  vec3 falling = exp(-2.0 * (linear - 0.8) / 0.2); // tanh by what cannot overflow
+  vec3 rolled = 0.8 + 0.2 * (1.0 - falling) / (1.0 + falling);
+  return mix(linear, rolled, vec3(greaterThan(linear, vec3(0.8))));
 }
 
 vec3 encodeSrgb(vec3 linear) {

@@ -18,10 +18,19 @@ const BUDGET = 12;
 const NEAREST = 0.02;
 const FARTHEST = 60;
 
+// Milliseconds between moving pictures: more are too slow, fewer leave room, and after many more nothing moved.
+const SLOW = 34;
+const QUICK = 20;
+const STILL = 400;
+
+// Part of the pixels across that moving pictures have at least.
+const COARSEST = 0.3;
+
 // Looks that an exposure is measured by.
 const MEASURED = 8;
 
-/** @typedef {ReturnType<import("#state").firstValues>} Values */
+// What panels cover of a picture that is no window's.
+const NOTHING = { left: 0, right: 0, top: 0, bottom: 0 };
 
 /** Draws the state. */
 export class Viewer {
@@ -40,12 +49,13 @@ export class Viewer {
     this.stage = payload.film ? new FilmStage(payload) : new ModelStage(payload, textures);
     this.painter = new Painter(this.renderer, this.stage);
     this.width = Infinity; // of the window against ringing
-    this.covered = { left: 0, right: 0, top: 0, bottom: 0 };
+    this.covered = NOTHING;
     this.colours = { plain: "#ffffff", light: 0.86, dark: 0.78 };
     this.largest = 0.1;
     this._sides = [this._side(payload.models[0]), this._side(payload.models[0]), this._side(payload.models.at(-1))];
     this._mapTextures = new Map();
     this._scales = new Map();
+    this.detail = 1; // of moving pictures
     this._needs = { light: true, view: true, present: true };
     this._listeners = [];
     this._openCamera();
@@ -65,7 +75,6 @@ export class Viewer {
     this.controls.minDistance = NEAREST * this.stage.extent.radius;
     this.controls.maxDistance = FARTHEST * this.stage.extent.radius;
     this.controls.zoomSpeed = 1.2;
-    this.controls.listenToKeyEvents = () => {};
     this._followState();
     this.controls.addEventListener("change", () => {
       if (this._isFollowing) return;
@@ -175,6 +184,20 @@ export class Viewer {
     return true;
   }
 
+  /** Moving pictures of fewer pixels where the machine is slow. */
+  _adaptDetail(now) {
+    const passed = now - (this._lastNew ?? -Infinity);
+    this._lastNew = now;
+    if (passed > STILL) return;
+    if (passed > SLOW) this.detail = Math.max(COARSEST, this.detail * 0.8);
+    else if (passed < QUICK) this.detail = Math.min(1, this.detail * 1.1);
+  }
+
+  /** Give the canvas so many pixels. */
+  _resize(size) {
+    if (size[0] !== this.canvas.width || size[1] !== this.canvas.height) this.renderer.setSize(...size, false);
+  }
+
   async _readMap(light) {
     if (this._reading?.has(light)) return;
     (this._reading ??= new Set()).add(light);
@@ -185,9 +208,8 @@ export class Viewer {
     this.redraw({ view: true });
   }
 
-  /** What is drawn: a canvas of so many pixels. */
-  get view() {
-    const { width, height } = this.canvas;
+  /** What is drawn, at so many pixels. */
+  _view([width, height]) {
     const ratio = width / Math.max(this.canvas.clientWidth, 1);
     const covered = Object.fromEntries(Object.entries(this.covered).map(([side, size]) => [side, size * ratio]));
     return { camera: this.camera, width, height, covered };
@@ -224,14 +246,14 @@ export class Viewer {
   measureStops() {
     if (this._needs.light) this._relight();
     const left = { model: 0, lit: this._sides[0].texture, lamps: this.state.values.lamps };
-    const scenery = { parts: [[left]], split: 1, view: this.view, hasBackdrop: false };
+    const scenery = { parts: [[left]], split: 1, view: this._view(this.pixels), hasBackdrop: false };
     const scale = exposureOf(this.painter.measure(scenery, MEASURED));
     this.redraw({ view: true });
     return Math.log2(scale / this.scaleOfLight(this.light));
   }
 
   /** Uniforms of the last pass, for a canvas or a picture of its own. */
-  _setComposite({ width, height, behind }, covered) {
+  _setComposite({ width, height, covered = NOTHING, behind }) {
     const { uniforms } = this.painter.composite;
     const { mode, background } = this.state.values;
     const isPlain = mode === "difference" || mode === "caps";
@@ -258,7 +280,7 @@ export class Viewer {
   /** Where the picture lies in the canvas, from the lower left, as parts of it. */
   _window(width, height, covered) {
     if (!this.payload.film) return [0, 0, 1, 1];
-    const { left = 0, right = 0, top = 0, bottom = 0 } = covered ?? {};
+    const { left, right, top, bottom } = covered;
     const free = [width - left - right, height - top - bottom];
     const zoom = Math.min(free[0] / this.payload.film.width, free[1] / this.payload.film.height);
     const size = [this.payload.film.width * zoom, this.payload.film.height * zoom].map(Math.round);
@@ -268,27 +290,43 @@ export class Viewer {
 
   _frame() {
     this._request = undefined;
-    if (this.isLost || this.canvas.width < 2) return;
+    if (this.isLost || this.pixels === undefined) return;
     const begin = performance.now();
     const isNew = this._needs.light || this._needs.view;
-    const { view } = this;
-    if (isNew) {
-      if (this._needs.light) this._relight();
-      void this.scale; // may measure, which paints
-      this._needs.view = false;
-      this.painter.restart(this._scenery(view));
-      this.painter.drawQuick();
-    } else if (this.painter.done < this.painter.looks) {
-      do this.painter.addLooks(1); while (this.painter.done < this.painter.looks && performance.now() < begin + BUDGET);
-    }
-    const isDone = this.painter.done === this.painter.looks;
+    if (isNew) this._drawMoving(begin);
+    else this._drawResting(begin);
+    const isDone = !isNew && this.painter.done === this.painter.looks;
+    if (isDone) this._resize(this.pixels);
     if (isNew || isDone || this._needs.present) {
-      this._setComposite(view, view.covered);
+      const size = [this.canvas.width, this.canvas.height];
+      this._setComposite(this._view(size));
       this.painter.present();
     }
     this._needs.present = false;
     if (!isDone) this._request ??= requestAnimationFrame(() => this._frame());
-    for (const listener of this._listeners) listener({ isNew, isDone, milliseconds: performance.now() - begin });
+    for (const listener of this._listeners) listener({ isNew, isDone });
+  }
+
+  _drawMoving(now) {
+    if (this._needs.light) this._relight();
+    void this.scale; // may measure, which paints
+    this._adaptDetail(now);
+    const size = this.pixels.map((pixels) => Math.max(2, Math.round(pixels * this.detail)));
+    this._resize(size);
+    this._needs.view = false;
+    this._isResting = false;
+    this.painter.restart(this._scenery(this._view(size)));
+    this.painter.drawQuick(this.detail < 1);
+  }
+
+  /** Add looks while there is time; until they are complete the last picture stays. */
+  _drawResting(begin) {
+    if (!this._isResting) this.painter.restart(this._scenery(this._view(this.pixels)));
+    this._isResting = true;
+    while (this.painter.done < this.painter.looks) {
+      this.painter.addLooks(1);
+      if (performance.now() > begin + BUDGET) break;
+    }
   }
 
   /**
