@@ -288,7 +288,11 @@ def _textures(
     source = locate_source(mi, packed, wish.scene, file, report)
     if source.scene is None or source.origin is None:
         return source.detail
-    return bitmap_detail(mi, source.scene, source.origin, packed.mesh, packed.parts, report)
+    detail = bitmap_detail(mi, source.scene, source.origin, packed.mesh, packed.parts, report)
+    if detail is None:
+        return None
+    albedo = packed.mesh.albedo[packed.mesh.faces]  # of the faces that have no texture there
+    return replace(detail, colors=np.where((detail.choice >= 0)[:, None, None], detail.colors, albedo))
 
 
 def _scale(model: Model, light: PageLight, aim: Aim, detail: SurfaceDetail | None) -> float:

@@ -45,7 +45,7 @@ def test_a_picture_is_not_compared_with_a_model():
 
 
 def test_labels_tell_two_apart():
-    more = sp.compress(traced(), "none", clusters=5, coding="float32")
+    more = sp.compress(traced(), "none", clusters=3, coding="float16")
     assert label_pair(tiny(), more, ("adapted", "pca")) == ("adapted", "pca")
     first, other = label_pair(tiny(), more, ("full SH", "full SH"))
     assert first == f"full SH, {tiny().file_bytes_per_vertex:.3g} bytes"

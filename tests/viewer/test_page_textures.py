@@ -11,10 +11,12 @@ from PIL import Image
 import slepian_prt as sp
 from slepian_prt.cli import main
 from slepian_prt.relighting.drawing.camera import relit_camera
+from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.formats.parts import Texture
 from slepian_prt.viewer import page_textures, pages
 from slepian_prt.viewer.buffers import Buffers
 from slepian_prt.viewer.page_textures import texture_entry
+from slepian_prt.viewer.pages import PageWish
 from tests.viewer.page_reader import blocks, read_payload, with_arrays
 
 CUBE = """mtllib box.mtl
@@ -102,3 +104,25 @@ def test_textures_are_found_with_the_model_and_missed_without(tmp_path, capsys, 
     assert read_payload(blocks(tmp_path / "box.html")["payload"])["textures"] == []
     assert main([*arguments, "--scene", str(tmp_path / "moved.obj")]) == 0
     assert len(read_payload(blocks(tmp_path / "box.html")["payload"])["textures"]) == 1
+
+
+SCENE = """<scene version="3.0.0">
+  <shape type="rectangle" id="floor"><bsdf type="diffuse">
+    <texture type="bitmap" name="reflectance"><string name="filename" value="tiles.png"/></texture></bsdf></shape>
+  <shape type="rectangle" id="wall"><transform name="to_world"><translate x="3"/></transform>
+    <bsdf type="diffuse"><rgb name="reflectance" value="0.8, 0.2, 0.1"/></bsdf></shape>
+</scene>"""
+
+
+def test_what_has_no_texture_in_a_scene_keeps_its_colour(tmp_path):
+    (tmp_path / "tiles.png").write_bytes(encoded(checks(64, 64), "PNG"))
+    (tmp_path / "room.xml").write_text(SCENE)
+    packed = sp.compress(sp.precompute(tmp_path / "room.xml", bandlimit=1, samples=16), tolerance=0.1)
+    with mitsuba() as mi:
+        detail = pages._textures(mi, packed, PageWish(), None, print)
+    faces = packed.mesh.faces
+    plain = detail.choice < 0
+    assert 0 < plain.sum() < len(faces)
+    np.testing.assert_allclose(detail.colors[plain], packed.mesh.albedo[faces[plain]])
+    np.testing.assert_allclose(detail.colors[plain], np.broadcast_to([0.8, 0.2, 0.1], (plain.sum(), 3, 3)), rtol=1e-3)
+    np.testing.assert_allclose(detail.colors[~plain], 1.0)
