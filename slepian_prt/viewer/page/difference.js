@@ -35,7 +35,7 @@ export function bindDifference(viewer) {
     const { mode, percent, compare, functions } = state.values;
     legend.hidden = mode !== "difference";
     if (mode !== "difference") return;
-    const measured = measureDifference(viewer.bothSides);
+    const measured = measureDifference(viewer.sides);
     const most = percent || (STEPS.find((step) => step >= measured.percent) ?? 100);
     viewer.largest = Math.max((most / 100) * measured.mean, 1e-30);
     const [left, right] = sideNames(payload, compare, functions);

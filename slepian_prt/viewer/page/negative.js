@@ -31,7 +31,7 @@ export function watchNegative(viewer) {
         viewer.redraw({ light: true });
       }
     }
-    const part = await negativeFraction(model, viewer.lit, options);
+    const part = await negativeFraction(model, viewer.sides[0].lit, options);
     if (mine === latest) output.textContent = percent(part);
   };
   const later = () => {

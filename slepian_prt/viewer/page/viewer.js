@@ -4,10 +4,12 @@ import { Matrix3, OrbitControls, Vector3, WebGLRenderer } from "three-kit";
 import { mapTexture } from "#backdrop";
 import { openCamera, placeAsFile, standOf as cameraStand } from "#camera";
 import { BEHIND, SHOWN } from "#composite";
+import { Detail } from "#detail";
 import { lightFunctions } from "#light";
 import { coefficientsOf, mapOf, standOf } from "#lights";
 import { litTexture } from "#model";
 import { Painter } from "#painter";
+import { Sides } from "#sides";
 import { FilmStage, ModelStage } from "#stage";
 import { exposureOf, linearColour } from "#tone";
 
@@ -17,14 +19,6 @@ const BUDGET = 12;
 // Distances of the camera that orbiting allows, in radii of the model.
 const NEAREST = 0.02;
 const FARTHEST = 60;
-
-// Milliseconds between moving pictures: more are too slow, fewer leave room, and after many more nothing moved.
-const SLOW = 34;
-const QUICK = 20;
-const STILL = 400;
-
-// Part of the pixels across that moving pictures have at least.
-const COARSEST = 0.3;
 
 // Looks that an exposure is measured by.
 const MEASURED = 8;
@@ -52,18 +46,14 @@ export class Viewer {
     this.covered = NOTHING;
     this.colours = { plain: "#ffffff", light: 0.86, dark: 0.78 };
     this.largest = 0.1;
-    this._sides = [this._side(payload.models[0]), this._side(payload.models[0]), this._side(payload.models.at(-1))];
+    this._sides = new Sides(payload);
     this._mapTextures = new Map();
     this._scales = new Map();
-    this.detail = 1; // of moving pictures
+    this._detail = new Detail(this.renderer.getContext());
     this._needs = { light: true, view: true, present: true };
     this._listeners = [];
     this._openCamera();
     state.listen((names) => this._hear(names));
-  }
-
-  _side(model) {
-    return { model: this.payload.models.indexOf(model), texture: litTexture(model), lit: null, used: 0 };
   }
 
   _openCamera() {
@@ -98,7 +88,7 @@ export class Viewer {
 
   _hear(names) {
     if (names.has("eye") || names.has("target")) this._followState();
-    if (["light", "turn", "tilt", "functions", "window"].some((name) => names.has(name))) this._needs.light = true;
+    if (["light", "turn", "tilt", "functions", "window", "mode", "compare"].some((name) => names.has(name))) this._needs.light = true;
     this._needs.view ||= [...names].some((name) => name !== "exposure" && name !== "percent");
     this.redraw({});
   }
@@ -128,44 +118,21 @@ export class Viewer {
   }
 
   _relight() {
-    const coefficients = this.coefficients;
-    const { mode, functions } = this.state.values;
-    const { models } = this.payload;
-    const wanted = [functions, models[0].functions, models.at(-1).functions];
-    const right = this._right;
-    this._sides.forEach((side, i) => {
-      if (i > 0 && (!["split", "difference"].includes(mode) || this._sides[i] !== right)) return;
-      side.lit = lightFunctions(models[side.model], coefficients, wanted[i]);
-      side.texture.image.data.set(side.lit);
-      side.texture.needsUpdate = true;
-    });
+    this._sides.relight(this.state.values, this.coefficients);
     this._needs.light = false;
   }
 
-  /** Lit functions (C K 4) of what the state shows: of the left side. */
-  get lit() {
-    if (this._needs.light || this._sides[0].lit === null) this._relight();
-    return this._sides[0].lit;
-  }
-
-  get _right() {
-    return this._sides[this.state.values.compare === "model" && this.payload.models.length > 1 ? 2 : 1];
-  }
-
-  /** Lit functions of both sides, and their models. */
-  get bothSides() {
-    if (this._needs.light || this._right.lit === null) this._relight();
-    return [this._sides[0], this._right].map(({ model, lit }) => ({ model: this.payload.models[model], lit }));
+  /** The sides as they are lit now: (C K 4) each, with their models of the payload. */
+  get sides() {
+    const pair = this._sides.pair(this.state.values);
+    if (this._needs.light) this._relight();
+    return pair.map(({ model, lit }) => ({ model: this.payload.models[model], lit }));
   }
 
   _scenery(view) {
-    const { mode, split, lamps } = this.state.values;
-    const [left, right] = [this._sides[0], this._right].map(({ model, texture }) => ({ model, lit: texture, lamps }));
-    const parts = {
-      picture: [[left]], split: [[left, right]], difference: [[left], [right]], caps: [[{ model: 0 }]],
-    }[mode];
-    const kind = { difference: SHOWN.difference, caps: SHOWN.colours }[mode] ?? SHOWN.picture;
-    return { parts, split, kind, view, hasBackdrop: this._setBackdrop() };
+    const { values } = this.state;
+    const kind = { difference: SHOWN.difference, caps: SHOWN.colours }[values.mode] ?? SHOWN.picture;
+    return { parts: this._sides.parts(values), split: values.split, kind, view, hasBackdrop: this._setBackdrop() };
   }
 
   /** Give the backdrop its map, if the state shows it and it is read; else ask for it. */
@@ -182,15 +149,6 @@ export class Viewer {
     uniforms.map.value = texture;
     uniforms.toMap.value = new Matrix3().fromArray(standOf(light, values, this.payload.up)); // as columns: the inverse
     return true;
-  }
-
-  /** Moving pictures of fewer pixels where the machine is slow. */
-  _adaptDetail(now) {
-    const passed = now - (this._lastNew ?? -Infinity);
-    this._lastNew = now;
-    if (passed > STILL) return;
-    if (passed > SLOW) this.detail = Math.max(COARSEST, this.detail * 0.8);
-    else if (passed < QUICK) this.detail = Math.min(1, this.detail * 1.1);
   }
 
   /** Give the canvas so many pixels. */
@@ -245,8 +203,8 @@ export class Viewer {
   /** Stops that expose what is seen now as Python would expose such a picture. */
   measureStops() {
     if (this._needs.light) this._relight();
-    const left = { model: 0, lit: this._sides[0].texture, lamps: this.state.values.lamps };
-    const scenery = { parts: [[left]], split: 1, view: this._view(this.pixels), hasBackdrop: false };
+    const parts = this._sides.parts({ ...this.state.values, mode: "picture" });
+    const scenery = { parts, split: 1, view: this._view(this.pixels), hasBackdrop: false };
     const scale = exposureOf(this.painter.measure(scenery, MEASURED));
     this.redraw({ view: true });
     return Math.log2(scale / this.scaleOfLight(this.light));
@@ -310,13 +268,13 @@ export class Viewer {
   _drawMoving(now) {
     if (this._needs.light) this._relight();
     void this.scale; // may measure, which paints
-    this._adaptDetail(now);
-    const size = this.pixels.map((pixels) => Math.max(2, Math.round(pixels * this.detail)));
+    this._detail.step(now);
+    const size = this.pixels.map((pixels) => Math.max(2, Math.round(pixels * this._detail.part)));
     this._resize(size);
     this._needs.view = false;
     this._isResting = false;
     this.painter.restart(this._scenery(this._view(size)));
-    this.painter.drawQuick(this.detail < 1);
+    this.painter.drawQuick(this._detail.part < 1);
   }
 
   /** Add looks while there is time; until they are complete the last picture stays. */
