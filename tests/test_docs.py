@@ -140,7 +140,7 @@ def test_setup_commands_exist():
     """Blocks of shell that are not run name scripts that are there."""
     for page in PAGES:
         for language, text, line in blocks(page):
-            assert language in ("python", "console", "sh", "text", "json", "xml"), f"{page}:{line}: {language}"
+            assert language in ("python", "console", "sh", "text", "json", "xml", "glsl"), f"{page}:{line}: {language}"
             for script in re.findall(r"scripts/(\w+)", text):
                 assert (ROOT / "scripts" / script).is_file(), f"{page}:{line}: scripts/{script}"
 

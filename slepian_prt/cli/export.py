@@ -10,6 +10,7 @@ import click
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import clamp_option, file_argument, output_option, rotate_option
 from slepian_prt.cli.values import read_maps, read_transfer
+from slepian_prt.errors import UserError
 from slepian_prt.export.kinds import ATTRIBUTES, KINDS, check_export
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     help="Transfer, for a shader that relights it; or what engines have a place for, with its loss.",
 )
 @click.option(
-    "--functions", type=int, metavar="K", help="Bytes per vertex of transfer: 8, 16, 24 or 32.  [default: 16]"
+    "--functions", type=int, metavar="K", help="Bytes per vertex of transfer: 8, 16, 24, 32 or more.  [default: 16]"
 )
 @click.option(
     "--attributes",
@@ -59,6 +60,9 @@ def export(
     from slepian_prt.lighting.projection import project_environment
     from slepian_prt.relighting.files.wishes import check_source
 
+    if not environment and (rotate or clamp_negative):
+        name = "rotate" if rotate else "clamp_negative"
+        raise UserError(f"`{name}` is about a map to tell the loss under, and none is named; give `environment` too")
     check_export(output, what, functions, attributes, [file, *environment, *([scene] if scene else [])])
     packed = read_transfer(file)
     check_source(output, packed, file)

@@ -72,7 +72,8 @@ def write_ambient_glb(
             own[name] = document.add_attribute(values[surface.vertices])
         by_part[surface.name].append(primitive)
     roots = [add_node(document, name, primitives, center) for name, primitives in by_part.items()]
-    document.write(path, roots, up, {"extras": {NAME: {"kind": what, "attributes": list(attributes)}}}, "write .ply")
+    told = {"version": 1, "kind": what, "attributes": list(attributes), "error": ambient.error()}
+    document.write(path, roots, up, {"extras": {NAME: told}}, "write .ply")
 
 
 def _with_one_reflectance(surface: Surface) -> Surface:

@@ -25,8 +25,8 @@ _LIGHT = (
 _RADIANCE = (
     "with b the numbers of a vertex, c = b[K-1] and table[c][k] = functions[c][k] . light, for each colour (the same "
     "functions for all of them where there is one channel): table[c][0] + sum over k = 1 .. K-1 of (b[k-1] / 255 - "
-    "zeros[c][k-1]) * table[c][k], times the colour of the material, COLOR_0 and the texture; interpolate radiance "
-    "over triangles, never b"
+    "zeros[c][k-1]) * table[c][k], plus _LAMPS where there are any, times the colour of the material, COLOR_0 and the "
+    "texture; interpolate radiance over triangles, never b"
 )
 _LAMPS = "_LAMPS is what white surfaces send back of the scene's lamps, added before the colour of the material"
 

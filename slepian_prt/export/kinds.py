@@ -40,7 +40,8 @@ def check_export(
     suffix = Path(output).suffix.lower()
     if suffix not in suffixes:
         others = f"; `what=occlusion` and the like are written as {PLY} too" if suffix == PLY else ""
-        raise UserError(f"{output}: {what} is written as {' or '.join(suffixes)}, not '{suffix}'{others}")
+        found = f"not '{suffix}'" if suffix else "which its name has to end in"
+        raise UserError(f"{output}: {what} is written as {' or '.join(suffixes)}, {found}{others}")
     if attributes is not None:
         check_choice(attributes, "attributes", ATTRIBUTES)
     if what != TRANSFER:

@@ -129,5 +129,7 @@ def _surfaces(
         detail = source_detail(mi, packed, scene, file or None, report)
     lacking = [row for row in missing_in_picture(packed) if detail is None or not row.startswith(_TEXTURE)]
     if lacking:
-        report(f"{path}: engines draw the model plainly, without what transfer does not hold ({'; '.join(lacking)})")
+        textures = any(row.startswith(_TEXTURE) for row in lacking)
+        where = "; textures that are found beside the file, or in `scene`, are written" if textures else ""
+        report(f"{path}: engines draw the model without what transfer does not hold ({'; '.join(lacking)}){where}")
     return split_surfaces(packed.mesh, packed.parts, detail)

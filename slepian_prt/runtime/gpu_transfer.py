@@ -38,6 +38,9 @@ LARGEST_CAPS = 255
 # A cap whose functions are fewer receivers than this saves nothing.
 _RECEIVERS_PER_FUNCTION = 2
 
+# What part of the squares of coefficients rounding to a byte loses, where they range over six standard deviations.
+_BYTE_ROUNDING = (6.0 / LARGEST) ** 2 / 12.0
+
 # Rounding of functions adds this part to the squared error that is left, or to that of 0.001 of a transfer vector.
 _ROUNDING_PART = 0.02
 _LEAST_LEFT = 1e-6
@@ -233,7 +236,7 @@ def _compressed(transfer: CompressedTransfer | Transfer) -> CompressedTransfer:
 
 def _split(groups: Sequence[Group], caps: int, count: int) -> list[list[Group]]:
     """Each group in clusters that are near planes of ``count`` dimensions, ``caps`` of them altogether."""
-    left = np.array([variance_left(group.values, count) for group in groups])
+    left = np.array([variance_left(group.values, count, _BYTE_ROUNDING) for group in groups])
     sizes = np.array([len(group.members) for group in groups])
     counts = cluster_counts(left, sizes, caps, _RECEIVERS_PER_FUNCTION * (count + 1))
     rng = np.random.default_rng(0)

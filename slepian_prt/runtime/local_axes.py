@@ -49,13 +49,18 @@ class LocalAxes:
         return np.asarray(np.maximum(squares, 0.0), dtype=np.float32)
 
 
-def variance_left(vectors: NDArray[np.float32], count: int) -> float:
-    """Sum of the squared distances of vectors (n, r) from their plane of ``count`` dimensions."""
+def variance_left(vectors: NDArray[np.float32], count: int, rounding: float = 0.0) -> float:
+    """Sum of the squared distances of vectors (n, r) from their plane of ``count`` dimensions, and of their rounding.
+
+    ``rounding`` is what part of the squares along the plane the rounding of coefficients loses.
+    """
     if len(vectors) < 2:
         return 0.0
     centered = vectors - vectors.mean(axis=0, dtype=np.float64).astype(np.float32)
     values = np.linalg.eigvalsh((centered.T @ centered).astype(np.float64))
-    return float(np.maximum(values[: max(0, values.size - count)], 0.0).sum())
+    values = np.maximum(values, 0.0)
+    beyond = max(0, values.size - count)
+    return float(values[:beyond].sum() + rounding * values[beyond:].sum())
 
 
 def cluster_counts(left: NDArray[np.float64], sizes: NDArray[np.integer], total: int, least: int) -> NDArray[np.int64]:

@@ -25,6 +25,16 @@ def check_pair(first: CompressedTransfer, other: CompressedTransfer) -> None:
         raise UserError("`compare_with` is light toward another camera; compare two toward one camera")
 
 
+def label_pair(first: CompressedTransfer, other: CompressedTransfer, names: tuple[str, str]) -> tuple[str, str]:
+    """What two transfers are called; of the same name, by their bytes, and of as many by which is which."""
+    if names[0] == names[1]:
+        own, others = (
+            f"{name}, {one.file_bytes_per_vertex:.3g} bytes" for name, one in zip(names, (first, other), strict=True)
+        )
+        names = own, others
+    return names if names[0] != names[1] else (f"{names[0]} (the file)", f"{names[1]} (compared)")
+
+
 def matching_receivers(mesh: Mesh, other: Mesh) -> NDArray[np.int64] | None:
     """(V,) which vertex of another mesh each vertex is; None where they are not the same mesh, but for rounding.
 

@@ -44,7 +44,7 @@ def make_page(title: str, payload: bytes) -> bytes:
         title=title,
         style=Markup((folder / "page" / "style.css").read_text()),
         bootstrap=Markup((folder / "page" / "bootstrap.js").read_text()),
-        licence=Markup((folder / "vendor" / "LICENSE.three").read_text().replace("--", "- -")),
+        licence=Markup((folder / "vendor" / "LICENSE.three").read_text()),
         modules=Markup(_packed(json.dumps({**sources, _KIT: kit}, ensure_ascii=False).encode())),
         payload=Markup(_packed(payload)),
     )

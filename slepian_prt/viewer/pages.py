@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.view import Aim
 from slepian_prt.transport.transfer import Transfer
 from slepian_prt.viewer.cameras import antialiasing, camera_entry
-from slepian_prt.viewer.comparison import check_pair, matching_receivers
+from slepian_prt.viewer.comparison import check_pair, label_pair, matching_receivers
 from slepian_prt.viewer.drawn_mesh import DrawnMesh, draw_mesh
 from slepian_prt.viewer.light_maps import PageLight, map_lights, own_light
 from slepian_prt.viewer.models import Model, lamp_radiance
@@ -204,6 +204,8 @@ def page_content(
         check_pair(packed, second)
         count = _FUNCTIONS_OF_VECTORS if isinstance(other, Transfer) else wish.functions
         models.append(_model(other, second, count, wish))
+        labels = label_pair(packed, second, (models[0].label, models[1].label))
+        models = [replace(model, label=label) for model, label in zip(models, labels, strict=True)]
     elif packed.fixed is None and wish.fixed_lights != 1.0:
         report("the file holds the light of no lamps; `fixed_lights` changes nothing")
     lights = _lights([model.packed for model in models], wish, report)

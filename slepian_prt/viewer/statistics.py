@@ -40,13 +40,6 @@ def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith(_TEXTURE))]
     if lacking and packed.film is None:
         said.append(f"Drawn plainly, without what the file does not hold: {'; '.join(lacking)}.")
-    if packed.toward_view and packed.view is not None:
-        said.append(
-            f"This is light toward the camera '{packed.view.name}', which other places do not see: it is drawn from "
-            "there only."
-        )
-    if packed.film is not None:
-        said.append("These are the pixels of a camera: light turns, the picture stays.")
     if textured:
         said.append("Textures are those of the model's own file.")
     return said

@@ -69,3 +69,9 @@ def test_bad_input_is_one_line(folder, capsys, monkeypatch, options, message):
     assert main(["export", "ball.prt", *options]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
+
+
+def test_what_is_about_maps_needs_one(tmp_path, capsys):
+    for option in (("--rotate", "30"), ("--clamp-negative",)):
+        assert main(["export", str(tmp_path / "x.prt"), *option, "-o", str(tmp_path / "x.glb")]) == 2
+        assert f"{option[0]} is about a map to tell the loss under" in capsys.readouterr().err

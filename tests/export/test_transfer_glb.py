@@ -144,7 +144,7 @@ def test_what_engines_draw_plainly_is_said(tmp_path, packed):
     plain, remarks = replace(packed, effects=rows, source=""), []
     export_model(plain, tmp_path / "a.glb", report=remarks.append)
     (remark,) = remarks
-    assert remark.endswith(f"({'; '.join(names)})")
+    assert f"({'; '.join(names)}); textures that are found beside the file, or in `scene`, are written" in remark
 
 
 def test_a_texture_does_not_use_alpha_and_is_not_filtered(tmp_path, packed):

@@ -10,10 +10,10 @@ import pytest
 import slepian_prt as sp
 from slepian_prt.errors import UserError
 from slepian_prt.scene.view import View
-from slepian_prt.viewer.comparison import check_pair, matching_receivers
+from slepian_prt.viewer.comparison import check_pair, label_pair, matching_receivers
 from tests.conftest import bumpy, sphere
 from tests.numerics import assert_exact
-from tests.viewer.tiny import tiny, tiny_film
+from tests.viewer.tiny import tiny, tiny_film, traced
 
 
 def test_the_same_mesh_with_other_numbers_is_found():
@@ -42,6 +42,16 @@ def test_a_picture_is_not_compared_with_a_model():
     with pytest.raises(UserError, match="`compare_with` is a model and the file a picture of 6 x 4 pixels"):
         check_pair(tiny_film(), tiny())
     check_pair(tiny_film(), tiny_film())
+
+
+def test_labels_tell_two_apart():
+    more = sp.compress(traced(), "none", clusters=5, coding="float32")
+    assert label_pair(tiny(), more, ("adapted", "pca")) == ("adapted", "pca")
+    first, other = label_pair(tiny(), more, ("full SH", "full SH"))
+    assert first == f"full SH, {tiny().file_bytes_per_vertex:.3g} bytes"
+    assert other == f"full SH, {more.file_bytes_per_vertex:.3g} bytes"
+    assert first != other
+    assert label_pair(tiny(), tiny(), ("a", "a"))[0].endswith("bytes (the file)")
 
 
 def test_light_toward_one_camera_is_not_compared_with_that_toward_another():

@@ -54,7 +54,7 @@ def test_it_names_nothing_that_would_have_to_be_fetched(page):
 def test_the_licence_of_three_can_be_read_in_it(page):
     comments = " ".join(re.findall(r"<!--(.*?)-->", page.read_text(), re.DOTALL))
     for line in (VIEWER / "vendor" / "LICENSE.three").read_text().splitlines():
-        assert line.strip().replace("--", "- -") in comments
+        assert line.strip() in comments
 
 
 def test_titles_are_escaped(page):
