@@ -101,7 +101,7 @@ def test_a_link_shows_what_its_sender_saw(browser, page, opened):
     opened.tab.evaluate("""() => slepianPrt.ready.then(({ state }) => state.set({
         light: 1, turn: -30, tilt: 12.5, exposure: 1.5, functions: 7, mode: "split", split: 0.3, window: true,
         background: "#102030", compare: "functions", eye: [3, 2, 1], target: [0.1, 0, 0] }))""")
-    opened.tab.wait_for_function("location.hash.includes('light=room')")
+    opened.tab.wait_for_function("location.hash.includes('turn=-30')")
     fragment = opened.tab.evaluate("location.hash")
     assert opened.tab.evaluate("history.length") <= 2
     with Opened(browser, page, fragment) as other:
