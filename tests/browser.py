@@ -122,7 +122,7 @@ class Modules:
         playwright.sync_api.Error
             What the body throws.
         """
-        return _unpack(self.page.evaluate(_CALL, [body, {name: _pack(value) for name, value in values.items()}]))
+        return unpack(self.page.evaluate(_CALL, [body, {name: _pack(value) for name, value in values.items()}]))
 
     def error(self, body: str, **values: Any) -> str:
         """The message of the error that a body throws; fails where it throws none."""
@@ -149,11 +149,11 @@ def _pack(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _unpack(value: Any) -> Any:
+def unpack(value: Any) -> Any:
     if isinstance(value, list):
-        return [_unpack(part) for part in value]
+        return [unpack(part) for part in value]
     if not isinstance(value, dict):
         return value
     if "$kind" in value:
         return np.frombuffer(base64.b64decode(value["$bytes"]), value["$kind"])
-    return {name: _unpack(part) for name, part in value.items()}
+    return {name: unpack(part) for name, part in value.items()}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.browser import _unpack
+from tests.browser import unpack
 
 # Bytes of a finished picture, from the top, of the state that is set before.
 _TAKE = """async ([width, height, values]) => {
@@ -54,7 +54,7 @@ class Opened:
 
     def picture(self, width: int, height: int, **values: Any) -> NDArray[np.float64]:
         """(H, W, 4) in [0, 1] of what is chosen; ``light`` goes by its name."""
-        bytes_ = _unpack(self.tab.evaluate(_TAKE, [width, height, values]))
+        bytes_ = unpack(self.tab.evaluate(_TAKE, [width, height, values]))
         return np.asarray(bytes_.reshape(height, width, 4) / 255.0)
 
     def drop(self, name: str, content: bytes) -> None:
