@@ -71,7 +71,7 @@ def view(
 ) -> None:
     """Make a page of a transfer FILE: one .html that any browser opens from a disk, to turn model and light in.
 
-    It carries the model, the maps and the program that draws them; dropped on it, other maps shine too. Behind the
+    FILE may be full SH, too (.npz). The page carries the model, the maps and the program that draws them; dropped on it, other maps shine too. Behind the
     model is the map unless --background says otherwise. On a terminal it is opened.
     """
     from slepian_prt import files
@@ -85,7 +85,7 @@ def view(
     check_page_name(output)
     given = [path for path in (compare_with, scene) if path]
     files.check_writable(output, file, *environment, *given)
-    content = page_content(read_transfer(file), wish, _read_other(compare_with), file, note)
+    content = page_content(_read(file), wish, None if compare_with is None else _read(compare_with), file, note)
     size = write_page(output, content.title, make_payload(replace(content, words=with_flags)))
     step = content.models[0].transfer.error()
     lights = ", ".join(light.name for light in content.lights)
@@ -97,9 +97,8 @@ def view(
         _open(output)
 
 
-def _read_other(file: str | None) -> Transfer | CompressedTransfer | None:
-    if file is None:
-        return None
+def _read(file: str) -> Transfer | CompressedTransfer:
+    """A .prt file, or full SH as `Transfer.save` writes it."""
     if Path(file).suffix.lower() == ".npz":
         from slepian_prt.transport.transfer_file import load_transfer
 

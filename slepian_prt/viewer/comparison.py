@@ -10,6 +10,9 @@ from slepian_prt.errors import UserError
 from slepian_prt.scene.face_matching import ROUNDED, match_faces
 from slepian_prt.scene.mesh import Mesh
 
+# Parts of the largest side that corners of the boxes around two meshes of one model may lie apart: one may be coarser.
+_APART = 0.1
+
 # Both may have been rounded.
 _TOLERANCE = 2.0 * ROUNDED
 
@@ -20,9 +23,21 @@ def check_pair(first: CompressedTransfer, other: CompressedTransfer) -> None:
     if sizes[0] != sizes[1]:
         names = ["a model" if size is None else f"a picture of {size[0]} x {size[1]} pixels" for size in sizes]
         raise UserError(f"`compare_with` is {names[1]} and the file {names[0]}; compare two of a kind and size")
+    if first.film is None and not _in_one_place(first.mesh, other.mesh):
+        raise UserError(
+            f"`compare_with` is of {other.name}, whose size or place is not that of {first.name}; compare two "
+            "transfers of one model"
+        )
     eyes = [np.array(one.view.to_world)[:3, 3] for one in (first, other) if one.toward_view and one.view is not None]
     if len(eyes) == 2 and not np.allclose(eyes[0], eyes[1], rtol=1e-6, atol=1e-9):
         raise UserError("`compare_with` is light toward another camera; compare two toward one camera")
+
+
+def _in_one_place(mesh: Mesh, other: Mesh) -> bool:
+    """Whether two meshes could be of one model: the boxes around them are much the same."""
+    boxes = [np.stack([one.positions.min(axis=0), one.positions.max(axis=0)]) for one in (mesh, other)]
+    extent = max(float(np.ptp(box, axis=0).max()) for box in boxes)
+    return bool(np.abs(boxes[0] - boxes[1]).max() <= _APART * extent)
 
 
 def label_pair(first: CompressedTransfer, other: CompressedTransfer, names: tuple[str, str]) -> tuple[str, str]:

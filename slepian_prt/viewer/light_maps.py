@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.environment import Environment, about_up, check_names, read_environment
+from slepian_prt.lighting.environment import Environment, check_names, read_environment
 from slepian_prt.lighting.formats.exr_header import read_headers
 from slepian_prt.lighting.projection import project_checked, project_environment
-from slepian_prt.relighting.series import about_axis
 from slepian_prt.scene.reflectance.textures import area_weights
 from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.harmonics import num_coefficients
-from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.viewer.buffers import Buffers
 
 # A map file that is carried as it is, and the size of one that is made smaller.
@@ -75,9 +73,9 @@ class PageLight:
 
 
 def map_lights(
-    maps: Sequence[str | Path | Environment], bandlimit: int, up: str, rotate: float, *, clamp_negative: bool
+    maps: Sequence[str | Path | Environment], bandlimit: int, up: str, *, clamp_negative: bool
 ) -> tuple[PageLight, ...]:
-    """Maps as lights, turned by degrees about the axis that is up; coefficients are those of all their texels.
+    """Maps as lights, where ``up`` is up; coefficients are those of all their texels.
 
     Raises
     ------
@@ -85,11 +83,11 @@ def map_lights(
         A map that cannot be used; two of the same name.
     """
     check_names([one.name if isinstance(one, Environment) else one for one in maps])
-    stand = up_rotation(up) @ about_up(rotate)
+    stand = up_rotation(up)
     return tuple(_map_light(one, bandlimit, stand, clamp_negative) for one in maps)
 
 
-def own_light(packed: Sequence[CompressedTransfer], up: str, rotate: float) -> PageLight:
+def own_light(packed: Sequence[CompressedTransfer]) -> PageLight:
     """The light that the scene has of its own, as the file with most degrees has it; dark where lamps are all of it.
 
     Raises
@@ -97,16 +95,16 @@ def own_light(packed: Sequence[CompressedTransfer], up: str, rotate: float) -> P
     UserError
         It has neither.
     """
-    turn, size = about_axis(up, rotate), max(num_coefficients(one.bandlimit) for one in packed)
+    size = max(num_coefficients(one.bandlimit) for one in packed)
     known = [one.lighting for one in packed if one.lighting is not None]
     if not known and all(one.fixed is None for one in packed):
         raise UserError("the scene has no light of its own; name a map with `environment`")
     coefficients = np.zeros((3, size))
     if known:
         most = max(known, key=lambda lighting: lighting.shape[1])
-        coefficients[:, : most.shape[1]] = rotate_sh(most, turn)
+        coefficients[:, : most.shape[1]] = most
     name = "light of the scene" if known else "lamps of the scene"
-    return PageLight(name, coefficients, b"", "", turn, own=True)
+    return PageLight(name, coefficients, b"", "", np.eye(3), own=True)
 
 
 def _map_light(given: str | Path | Environment, bandlimit: int, stand: NDArray, clamp_negative: bool) -> PageLight:
@@ -150,7 +148,8 @@ def _small_exr(texels: NDArray[np.float32]) -> bytes:
     """An OpenEXR file of half floats, at most `_LARGEST_WIDTH` wide."""
     import OpenEXR
 
-    small = np.clip(_shrunk(texels), 0.0, _LARGEST_HALF).astype(np.float16)
+    # OpenEXR does not look at strides.
+    small = np.ascontiguousarray(np.clip(_shrunk(texels), 0.0, _LARGEST_HALF), dtype=np.float16)
     header = {
         "compression": OpenEXR.DWAA_COMPRESSION,
         "type": OpenEXR.scanlineimage,
@@ -170,4 +169,4 @@ def _shrunk(texels: NDArray[np.float32]) -> NDArray[np.float32]:
     rows, columns = (
         area_weights(size, wanted) for size, wanted in ((height, _LARGEST_WIDTH // 2), (width, _LARGEST_WIDTH))
     )
-    return np.asarray(np.stack([rows @ channel @ columns.T for channel in np.moveaxis(texels, 2, 0)], axis=2))
+    return np.stack([rows @ channel @ columns.T for channel in np.moveaxis(texels, 2, 0)], axis=2)

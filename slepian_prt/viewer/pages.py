@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,11 +24,13 @@ from slepian_prt.relighting.drawing.pictures import MAP, TRANSPARENT, Finish, ex
 from slepian_prt.relighting.drawing.taking import Taking
 from slepian_prt.relighting.files.bitmap_detail import bitmap_detail
 from slepian_prt.relighting.files.surfaces import split_surfaces
+from slepian_prt.relighting.series import about_axis
 from slepian_prt.relighting.source import find_source, locate_source
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.view import Aim
+from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.transfer import Transfer
 from slepian_prt.viewer.cameras import antialiasing, camera_entry
 from slepian_prt.viewer.comparison import check_pair, label_pair, matching_receivers
@@ -214,7 +217,8 @@ def page_content(
         drawn, detail = _drawn(mi, models, wish, file, report)
         view = None if packed.film is not None else relit_view(packed, wish.aim)
         places = [[0.0, 0.0, 1.0]] if view is None else antialiasing(mi, view)
-        scale = _scale(models[0], lights[0], wish.aim, detail)
+        turned = rotate_sh(lights[0].coefficients, about_axis(wish.aim.axis, wish.rotate))
+        scale = _scale(models[0], turned, wish.aim, detail)
     return Content(
         title=packed.name,
         models=models,
@@ -222,7 +226,7 @@ def page_content(
         lights=lights,
         camera=None if view is None else camera_entry([model.packed for model in models], view),
         antialias=places,
-        display=Display(finish.shown, finish.exposure, scale),
+        display=Display(finish.shown, finish.exposure, scale, math.remainder(wish.rotate, 360.0)),
         up=wish.aim.axis,
         notes=_notes(packed),
     )
@@ -250,8 +254,8 @@ def _lights(packed: Sequence[CompressedTransfer], wish: PageWish, report: Report
         report("the scene has no light of its own; the page has the sky that is shipped, `environment` names others")
         maps = (example("sky"),)
     if not maps:
-        return (own_light(packed, up, wish.rotate),)
-    lights = map_lights(maps, bandlimit, up, wish.rotate, clamp_negative=wish.clamp_negative)
+        return (own_light(packed),)
+    lights = map_lights(maps, bandlimit, up, clamp_negative=wish.clamp_negative)
     for light in lights:
         if light.clamped:
             report(f"{light.name}: {light.clamped} negative texels set to zero")
@@ -295,10 +299,10 @@ def _textures(
     return replace(detail, colors=np.where((detail.choice >= 0)[:, None, None], detail.colors, albedo))
 
 
-def _scale(model: Model, light: PageLight, aim: Aim, detail: SurfaceDetail | None) -> float:
+def _scale(model: Model, coefficients: NDArray, aim: Aim, detail: SurfaceDetail | None) -> float:
     """What exposes Python's picture from the camera that the page opens at."""
     packed, size = model.packed, (model.packed.bandlimit + 1) ** 2
-    radiance = model.transfer.relight(light.coefficients[:, :size])
+    radiance = model.transfer.relight(coefficients[:, :size])
     if model.lamps is not None:
         radiance += model.lamps
     if packed.film is not None:

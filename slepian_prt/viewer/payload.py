@@ -42,15 +42,18 @@ class Display:
         In stops.
     scale : float or None
         What Python's picture multiplies radiance by, under the first light.
+    turn : float
+        Of lights, in degrees about the axis that is up, in [-180, 180].
     """
 
     background: str
     exposure: float
     scale: float | None
+    turn: float = 0.0
 
     def entry(self) -> dict[str, Any]:
         """What the payload says of it."""
-        return {"background": self.background, "exposure": self.exposure, "scale": self.scale}
+        return {"background": self.background, "exposure": self.exposure, "scale": self.scale, "turn": self.turn}
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,9 @@ def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     said = [f"Repaired in the mesh: {note}." for note in packed.notes]
     lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith(_TEXTURE))]
     if lacking and packed.film is None:
-        said.append(f"Drawn plainly, without what the file does not hold: {'; '.join(lacking)}.")
+        said.append(
+            f"Left out, as the file does not hold it: {'; '.join(lacking)}. Pictures that are gathered in the scene have it."
+        )
     if textured:
         said.append("Textures are those of the model's own file.")
     return said

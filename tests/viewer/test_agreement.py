@@ -152,3 +152,10 @@ def test_a_captured_film_is_python_s_picture(browser, tmp_path, sky):
     with Opened(browser, tmp_path / "page.html") as opened:
         for background in ("map", "#336699"):
             assert_page_agrees(opened, film, sky, background=background, exposure=0.0)
+
+
+def test_both_sides_of_the_divider_are_lit_when_it_appears(plain):
+    """All functions on both sides: the picture without a divider."""
+    drawn = [plain.picture(120, 90, light="sky", mode=mode, background="#808080") for mode in ("picture", "split")]
+    plain.picture(8, 6, mode="picture")
+    assert_close(drawn[1], drawn[0])

@@ -44,6 +44,13 @@ def test_a_picture_is_not_compared_with_a_model():
     check_pair(tiny_film(), tiny_film())
 
 
+def test_two_models_are_not_compared():
+    moved = replace(tiny().mesh, positions=tiny().mesh.positions + [3.0, 0.0, 0.0])
+    with pytest.raises(UserError, match="whose size or place is not that of"):
+        check_pair(tiny(), replace(tiny(), mesh=moved))
+    check_pair(tiny(), replace(tiny(), mesh=replace(moved, positions=1.05 * tiny().mesh.positions)))
+
+
 def test_labels_tell_two_apart():
     more = sp.compress(traced(), "none", clusters=3, coding="float16")
     assert label_pair(tiny(), more, ("adapted", "pca")) == ("adapted", "pca")

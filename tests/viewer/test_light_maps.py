@@ -17,7 +17,7 @@ from tests.numerics import assert_exact
 
 def light_of(path, **options):
     """The light of one map."""
-    (light,) = map_lights([path], 2, "y", 0.0, **{"clamp_negative": False, **options})
+    (light,) = map_lights([path], 2, "y", **{"clamp_negative": False, **options})
     return light
 
 
@@ -94,6 +94,17 @@ def test_large_maps_are_made_small_by_means(tmp_path):
     assert small.max() < 65504.0 * 1.01  # what half floats hold
 
 
+def test_large_maps_keep_their_directions(tmp_path):
+    row, column = np.mgrid[:1024, :2048]
+    image = np.stack([row / 1024.0, column / 2048.0, np.full(row.shape, 0.25)], axis=2).astype(np.float32)
+    small = read_back(light_of(make_environment(image, name="large")), tmp_path)
+    rows, columns = np.mgrid[:512, :1024]
+    # Means of two by two texels; DWAA rounds.
+    np.testing.assert_allclose(small[..., 0], (rows + 0.25) / 512.0, atol=0.01)
+    np.testing.assert_allclose(small[..., 1], (columns + 0.25) / 1024.0, atol=0.01)
+    np.testing.assert_allclose(small[..., 2], 0.25, atol=0.01)
+
+
 def test_negative_texels_are_told_and_not_carried(tmp_path):
     image = texels()
     image[3, 5] = -1e-4
@@ -111,7 +122,7 @@ def test_negative_texels_are_told_and_not_carried(tmp_path):
 def test_maps_have_different_names(tmp_path):
     write_exr(tmp_path / "a.exr", texels())
     with pytest.raises(UserError, match="environments must have different names"):
-        map_lights([tmp_path / "a.exr"] * 2, 2, "y", 0.0, clamp_negative=False)
+        map_lights([tmp_path / "a.exr"] * 2, 2, "y", clamp_negative=False)
 
 
 def test_carried_maps_can_be_read_in_a_browser(modules, tmp_path):

@@ -85,7 +85,8 @@ def test_functions_of_all_magnitudes_lose_nothing(sky):
 def test_lights_are_those_of_all_texels_and_stand_as_in_pictures(sky):
     read, _ = payload_of(tiny(), [sky], aim=Aim(up="z"), rotate=30.0)
     light = read["lights"][0]
-    turned = sky.rotated(30.0).turned(up_rotation("z"))
+    turned = sky.turned(up_rotation("z"))
+    assert read["display"]["turn"] == 30.0
     wanted = sp.project_environment(turned, 2)
     np.testing.assert_allclose(light["coefficients"].reshape(3, -1), wanted, atol=1e-12 * np.abs(wanted).max())
     np.testing.assert_allclose(light["to_world"], turned.to_world, atol=1e-15)

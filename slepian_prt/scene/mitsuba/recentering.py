@@ -97,6 +97,7 @@ def coarse_receivers(positions: NDArray, receivers: Receivers) -> tuple[int, flo
     np.maximum.at(high, piece, positions)
     np.maximum.at(far, piece, np.abs(positions).max(axis=1))
     size = np.linalg.norm(high - low, axis=1)
-    step = np.spacing(far.astype(np.float32)) / np.maximum(size, 1e-300)
+    # Pieces without a size are single vertices, of faces that belong to other receivers.
+    step = np.where(size > 0.0, np.spacing(far.astype(np.float32)) / np.where(size > 0.0, size, 1.0), 0.0)
     coarse = (step > _COARSE)[piece] & receivers.active
     return int(coarse.sum()), float(step[piece[coarse]].max(initial=0.0))

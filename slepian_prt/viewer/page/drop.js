@@ -13,6 +13,7 @@ export function bindDrop(viewer, add, report) {
   const open = async (file) => {
     try {
       const { light, notes } = await lightOfFile(file, payload);
+      light.name = freeName(light.name, lights);
       lights.push(light);
       add(light);
       for (const note of notes) report(`${note}.`);
@@ -42,6 +43,14 @@ export function bindDrop(viewer, add, report) {
     if (file) open(file);
   });
   return { open, ask: () => input.click() };
+}
+
+/** A name that no other light has, as links go by names. */
+function freeName(name, lights) {
+  const taken = new Set(lights.map((light) => light.name));
+  let free = name;
+  for (let number = 2; taken.has(free); ++number) free = `${name} (${number})`;
+  return free;
 }
 
 const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);

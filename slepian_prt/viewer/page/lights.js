@@ -81,7 +81,11 @@ export async function mapOf(light) {
  * @throws {Error} One sentence for what is no map.
  */
 export async function lightOfFile(file, { bandlimit, up }) {
-  const map = await readMap(file.name, await file.arrayBuffer());
+  const content = await file.arrayBuffer();
+  const map = await readMap(file.name, content).catch((error) => {
+    if (!error.negative) throw error;
+    return readMap(file.name, content, { clampNegative: true }); // it is said below how many
+  });
   const toWorld = Float64Array.from(upRotation(up));
   const coefficients = await projectTexels(map, bandlimit, toWorld);
   const notes = [...map.notes];

@@ -12,7 +12,7 @@
 export function firstValues(payload) {
   return {
     light: 0,
-    turn: 0,
+    turn: payload.display.turn,
     tilt: 0,
     exposure: payload.display.exposure,
     background: payload.display.background,
@@ -82,7 +82,7 @@ function codecs(lights, functions) {
     },
     turn: number(-180, 180),
     tilt: number(-90, 90),
-    exposure: number(-60, 60),
+    exposure: number(-20, 20),
     background: {
       write: String,
       read: (text) => (/^(map|transparent|#[0-9a-f]{6})$/.test(text) ? text : undefined),
