@@ -39,9 +39,7 @@ def remarks(packed: CompressedTransfer, *, textured: bool) -> list[str]:
     said = [f"Repaired in the mesh: {note}." for note in packed.notes]
     lacking = [name for name in missing_in_picture(packed) if not (textured and name.startswith(_TEXTURE))]
     if lacking and packed.film is None:
-        said.append(
-            f"Left out, as the file does not hold it: {'; '.join(lacking)}. Pictures that are gathered in the scene have it."
-        )
+        said.append(f"Left out, as the file does not hold it: {'; '.join(lacking)}. Pictures of the scene have it.")
     if textured:
         said.append("Textures are those of the model's own file.")
     return said
