@@ -71,8 +71,9 @@ def view(
 ) -> None:
     """Make a page of a transfer FILE: one .html that any browser opens from a disk, to turn model and light in.
 
-    FILE may be full SH, too (.npz). The page carries the model, the maps and the program that draws them; dropped on
-    it, other maps shine too. Behind the model is the map unless --background says otherwise. On a terminal it is opened.
+    FILE may be full SH, too (.npz). The page carries the model, the maps and the program that draws them; maps that
+    are dropped on it shine too. Behind the model is the map unless --background says otherwise. On a terminal it is
+    opened.
     """
     from slepian_prt import files
     from slepian_prt.scene.view import Aim
