@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import slepian_prt as sp
@@ -118,6 +119,21 @@ def test_a_dropped_file_that_is_no_map_gets_a_sentence(opened, name, content):
     opened.tab.locator("#notices p", has_text=name).wait_for()
     assert opened.values["light"] == 0
     opened.tab.locator("#notices button").first.click()
+
+
+def test_dropped_maps_have_names_of_their_own_and_no_negative_texels(browser, page):
+    rows = [[1.0, 1.0, 1.0]] * 7 + [[-5.0, 1.0, 1.0]]  # far more than Python takes without being asked
+    content = b"PF\n8 4\n-1.0\n" + np.array([rows] * 4, dtype="<f4").tobytes()
+    with Opened(browser, page) as opened:
+        for number, name in enumerate(("sky (2)", "sky (3)"), 2):
+            opened.drop("sky.pfm", content)
+            opened.tab.wait_for_function(
+                f"slepianPrt.ready.then(({{ viewer }}) => viewer.lights.length === {number + 1})"
+            )
+            assert opened.tab.evaluate("slepianPrt.ready.then(({ viewer }) => viewer.lights.at(-1).name)") == name
+        least = "slepianPrt.ready.then(({ viewer }) => viewer.lights.at(-1).map.data.reduce((a, b) => Math.min(a, b)))"
+        assert opened.tab.evaluate(least) == 0
+        assert "4 negative texels were set to zero" in opened.tab.locator("#notices").inner_text()
 
 
 def test_every_control_has_a_name(opened):

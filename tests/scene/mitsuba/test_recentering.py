@@ -187,6 +187,12 @@ def test_coarse_receivers_are_counted_by_piece():
     assert coarse_receivers(positions, idle) == (1, 0.125)
 
 
+def test_a_vertex_alone_is_no_coarse_piece():
+    """As one side of faces whose normals differ at every corner has them."""
+    positions = np.array([[0.0, 0, 0], [1, 0, 0], [1000.0, 2, 3]])
+    assert coarse_receivers(positions, receivers(positions, [[0, 1]])) == (0, 0.0)
+
+
 def test_nothing_coarse():
     positions = np.array([[0.0, 0, 0], [1, 0, 0]])
     assert coarse_receivers(positions, receivers(positions, [[0, 1]])) == (0, 0.0)
