@@ -22,7 +22,9 @@ export function addLightChoice(viewer, light, index) {
   input.addEventListener("change", () => state.set({ light: index }));
   document.getElementById("lights").append(label);
   follow(viewer);
-  if (light.bytes || light.map) whenIdle(async () => blank.replaceWith(thumbnail(await mapOf(light))));
+  if (!light.bytes && !light.map) return;
+  blank.classList.add("coming");
+  whenIdle(async () => blank.replaceWith(thumbnail(await mapOf(light))));
 }
 
 function follow({ state }) {
