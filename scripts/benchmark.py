@@ -9,6 +9,7 @@ from benchmarks.all_views import all_views
 from benchmarks.compression import compression
 from benchmarks.files import files
 from benchmarks.page_files import page_files
+from benchmarks.page_pictures import page_pictures
 from benchmarks.pages import pages
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
@@ -30,6 +31,7 @@ BENCHMARKS = {
     "paths": paths,
     "pages": pages,
     "page_files": page_files,
+    "page_pictures": page_pictures,
     "smoothing": smoothing,
     "all_views": all_views,
     "dragons": dragons,
