@@ -88,7 +88,7 @@ def _times(name: str, page: Path, browser: Any) -> None:
             opened.tab.wait_for_timeout(3000)
             stages.append(opened.tab.evaluate(_STAGES))
     line(f"{name}: from opening to first light, {_WINDOW['width']} x {_WINDOW['height']} (limit 1000)", _ms(firsts))
-    for told, times in zip(_TOLD, zip(*stages), strict=True):
+    for told, times in zip(_TOLD, zip(*stages, strict=True), strict=True):
         line(f"  {told}", _ms(times))
 
 
