@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
 from slepian_prt.scene.mesh import Mesh, make_mesh
+from tests.browser import open_chromium
 
 ROOT = Path(__file__).parent.parent
 
@@ -21,6 +24,13 @@ def data() -> Path:
     if not folder:
         pytest.skip("SLEPIAN_PRT_DATA is not set: no scanned meshes and HDR maps")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Playwright's headless Chromium, one for a process: a second would be refused. Tests without one are skipped."""
+    with open_chromium() as chromium:
+        yield chromium
 
 
 @pytest.fixture

@@ -1,10 +1,9 @@
-"""A model to export, a map, and the browser."""
+"""A model to export, and a map."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from slepian_prt.compression.stream import compress
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.transport.transfer import precompute
-from tests.browser import open_chromium
 from tests.conftest import bumpy
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -63,10 +61,3 @@ def radiance_hdr(texels: np.ndarray) -> bytes:
     height, width = largest.shape
     header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n"
     return header.encode() + pixels.astype(np.uint8).tobytes()
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """Headless Chromium; tests without one are skipped."""
-    with open_chromium() as chromium:
-        yield chromium

@@ -1,20 +1,12 @@
-"""The browser, one for a session, and pages of it."""
+"""Pages of the browser."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
-from tests.browser import Modules, open_chromium
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """Playwright's headless Chromium; tests without one are skipped."""
-    with open_chromium() as chromium:
-        yield chromium
+from tests.browser import Modules
 
 
 @pytest.fixture(scope="session")
