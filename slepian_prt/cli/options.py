@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from slepian_prt.cli.values import Albedo, Names, Parameter, Point, as_dict
+from slepian_prt.cli.values import Albedo, LampScale, Names, Parameter, Point, as_dict, as_scales
 from slepian_prt.errors import UserError
 
 # Vertices up to which files keep the order of their source unasked: scripts pair them with arrays of their own, and it
@@ -115,6 +115,16 @@ parameters_option = click.option(
 clamp_option = click.option("--clamp-negative", is_flag=True, help="Set negative texels of a map to zero.")
 rotate_option = click.option(
     "--rotate", default=0.0, show_default=True, metavar="DEG", help="Turn the map about the up axis y."
+)
+
+fixed_lights_option = click.option(
+    "--fixed-lights",
+    multiple=True,
+    type=LampScale(),
+    callback=as_scales,
+    metavar="[NAME=]SCALE",
+    help="What the light of the scene's lamps, or of that lamp, is multiplied by; may be given several times.  "
+    "[default: 1]",
 )
 
 # What transport is asked for: the fields of `TransportSettings`.

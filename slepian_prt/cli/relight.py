@@ -12,12 +12,13 @@ from slepian_prt.cli.options import (
     clamp_option,
     environment_option,
     file_argument,
+    fixed_lights_option,
     output_option,
     picture_options,
     rotate_option,
     width_option,
 )
-from slepian_prt.cli.values import LampScale, Names, as_scales, read_transfer, settings_of
+from slepian_prt.cli.values import Names, read_transfer, settings_of
 
 
 @click.command()
@@ -33,15 +34,7 @@ from slepian_prt.cli.values import LampScale, Names, as_scales, read_transfer, s
     help="Degree that the window ends at.  [default: 0.1 % of vertices negative]",
 )
 @clamp_option
-@click.option(
-    "--fixed-lights",
-    multiple=True,
-    type=LampScale(),
-    callback=as_scales,
-    metavar="[NAME=]SCALE",
-    help="What the light of the scene's lamps, or of that lamp, is multiplied by; may be given several times.  "
-    "[default: 1]",
-)
+@fixed_lights_option
 @click.option("--turn-directional", is_flag=True, help="Turn directional lamps with the map; their shadows get soft.")
 @width_option("Of a picture", 800)
 @picture_options

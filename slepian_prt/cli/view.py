@@ -17,11 +17,12 @@ from slepian_prt.cli.options import (
     clamp_option,
     environment_option,
     file_argument,
+    fixed_lights_option,
     output_option,
     picture_options,
     rotate_option,
 )
-from slepian_prt.cli.values import LampScale, as_scales, read_transfer, settings_of
+from slepian_prt.cli.values import read_transfer, settings_of
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -46,15 +47,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Bytes of a vertex: more lose less.",
 )
-@click.option(
-    "--fixed-lights",
-    multiple=True,
-    type=LampScale(),
-    callback=as_scales,
-    metavar="[NAME=]SCALE",
-    help="What the light of the scene's lamps, or of that lamp, is multiplied by; may be given several times.  "
-    "[default: 1]",
-)
+@fixed_lights_option
 @picture_options
 @click.option("--scene", type=click.Path(), metavar="PATH", help="What FILE was made from: its textures are drawn.")
 @click.option("--no-open", is_flag=True, help="Do not open the page in a browser.")

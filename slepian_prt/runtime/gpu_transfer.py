@@ -199,7 +199,7 @@ def gpu_transfer(
     if count % 8:
         raise UserError(f"functions must be a multiple of 8 from 8 to {LARGEST_FUNCTIONS}, not {count}")
     bits = check_integer(bits, "bits", 2, 8)
-    packed = _compressed(transfer)
+    packed = as_compressed(transfer)
     if caps is None:
         affordable = packed.vertex_count // num_coefficients(packed.bandlimit)
         caps = min(LARGEST_CAPS, max(affordable, packed.cap_count))
@@ -225,7 +225,8 @@ class _Wanted(NamedTuple):
     weights: NDArray[np.float64]
 
 
-def _compressed(transfer: CompressedTransfer | Transfer) -> CompressedTransfer:
+def as_compressed(transfer: CompressedTransfer | Transfer) -> CompressedTransfer:
+    """The same transfer in caps; of full SH nothing is lost."""
     if isinstance(transfer, CompressedTransfer):
         return transfer
     from slepian_prt.compression.stream import compress  # only for vectors: what files hold needs no encoder
@@ -262,7 +263,8 @@ def _assemble(packed: CompressedTransfer, clusters: Sequence[Group], wanted: _Wa
         total.add(cluster.values, cluster.functions)
     planes = [LocalAxes.of(cluster.values, wanted.functions - 1) for cluster in clusters]
     left = sum(float(plane.residuals(own.values).sum()) for plane, own in zip(planes, clusters, strict=True))
-    step = _function_step(left, packed, wanted.weights)
+    whole = sum(float(np.vdot(own.values, own.values)) for own in clusters)
+    step = _function_step(max(left, _LEAST_LEFT * whole), packed, wanted.weights)
     for c, (plane, cluster) in enumerate(zip(planes, clusters, strict=True)):
         coefficients, own_zeros, scales = to_bytes((cluster.values - plane.mean) @ plane.axes, wanted.bits)
         exact = np.concatenate([plane.mean[None], (plane.axes * scales).T]).astype(np.float64)
@@ -291,7 +293,7 @@ def _assemble(packed: CompressedTransfer, clusters: Sequence[Group], wanted: _Wa
 
 
 def _function_step(left: float, packed: CompressedTransfer, weights: NDArray[np.float64]) -> float:
-    """What functions may be rounded to, for a small part of the squared error that is left (weighted, of all)."""
+    """What functions may be rounded to, for a small part of the squared error that is left (weighted)."""
     # Half of what the rounding of K functions makes is that of the mean: coefficients are small against their range.
     per_unit = 2.0 * packed.vertex_count * packed.channels * float(weights @ weights) / 12.0
-    return math.sqrt(_ROUNDING_PART * max(left, _LEAST_LEFT * per_unit) / per_unit)
+    return math.sqrt(_ROUNDING_PART * left / per_unit)

@@ -83,6 +83,7 @@ def _group(
     )
     energies, axes = np.linalg.eigh((values.T @ values).astype(np.float64))
     kept = axes[:, ::-1][:, energies[::-1] > _ROUNDING * max(energies[-1], 0.0)]
-    functions = (basis @ kept).T.reshape(kept.shape[1], -1, weights.size) / weights
+    channels = len(basis) // weights.size  # there may be no functions, where all is dark
+    functions = (basis @ kept).T.reshape(kept.shape[1], channels, weights.size) / weights
     found = np.concatenate([own[lit] for _, own, lit in caps])
-    return Group(found, values @ kept.astype(np.float32), functions.reshape(len(functions), -1))
+    return Group(found, values @ kept.astype(np.float32), functions.reshape(len(functions), channels * weights.size))

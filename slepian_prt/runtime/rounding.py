@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 # What a byte is divided by.
 LARGEST = 255
 
+# The smallest step of float16.
+_SMALLEST = 2.0**-24
+
 
 def to_bytes(
     coefficients: NDArray[np.floating], bits: int
@@ -38,9 +41,5 @@ def round_functions(functions: NDArray[np.float64], step: float) -> NDArray[np.f
 
     What small numbers lack in bits, compression of files takes out.
     """
-    unit = 2.0 ** max(math.floor(math.log2(step)), _SMALLEST_EXPONENT)
+    unit = 2.0 ** math.floor(math.log2(max(step, _SMALLEST)))
     return (np.rint(functions / unit) * unit).astype(np.float16).astype(np.float64)
-
-
-# Of float16.
-_SMALLEST_EXPONENT = -24

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.examples import example
 from slepian_prt.files import check_writable
@@ -27,7 +26,7 @@ from slepian_prt.relighting.files.surfaces import split_surfaces
 from slepian_prt.relighting.series import about_axis
 from slepian_prt.relighting.source import find_source, locate_source
 from slepian_prt.renderer.variants import mitsuba
-from slepian_prt.runtime.gpu_transfer import gpu_transfer
+from slepian_prt.runtime.gpu_transfer import as_compressed, gpu_transfer
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.view import Aim
 from slepian_prt.sphere.rotation import rotate_sh
@@ -46,9 +45,6 @@ log = logging.getLogger(__name__)
 # Bytes of a vertex that graphics hardware likes; full SH, to compare with, gets as many as make it exact to the eye.
 FUNCTIONS = (8, 16, 24, 32)
 _FUNCTIONS_OF_VECTORS = 64
-
-# Caps of full SH, as of `gpu_transfer`.
-_CAPS_OF_VECTORS = 96
 
 Light = str | Path | Environment
 Report = Callable[[str], None]
@@ -198,12 +194,12 @@ def page_content(
     UserError
         See `save_page`.
     """
-    packed = _packed(transfer)
+    packed = as_compressed(transfer)
     if packed.film is not None:
         check_taking(packed.film, Taking(None, wish.aim, wish.scene, None))
     models = [_model(transfer, packed, wish.functions, wish)]
     if other is not None:
-        second = _packed(other)
+        second = as_compressed(other)
         check_pair(packed, second)
         count = _FUNCTIONS_OF_VECTORS if isinstance(other, Transfer) else wish.functions
         models.append(_model(other, second, count, wish))
@@ -230,13 +226,6 @@ def page_content(
         up=wish.aim.axis,
         notes=_notes(packed),
     )
-
-
-def _packed(transfer: Transfer | CompressedTransfer) -> CompressedTransfer:
-    if isinstance(transfer, CompressedTransfer):
-        return transfer
-    clusters = min(_CAPS_OF_VECTORS, len(transfer.mesh.positions))
-    return compress(transfer, "none", clusters=clusters, coding="float32")
 
 
 def _model(

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -186,7 +188,8 @@ def test_more_caps_than_a_byte_counts(traced, falling):
     difference = transfer_vectors(gpu.vertices, gpu.functions, gpu.zeros) - wanted
     weights = falling_prior(BANDLIMIT).weights[degrees(BANDLIMIT)]
     measured = np.linalg.norm(difference * weights) / np.linalg.norm(wanted * weights)
-    assert measured == pytest.approx(gpu.error(), rel=0.05)
+    # Functions that hold less than a hundredth of the file's error are left out before, and not counted here.
+    assert 0.98 * gpu.error() < measured < 1.02 * np.hypot(gpu.error(), 0.01 * packed.predicted_error)
     assert measured < 0.05
 
 
@@ -198,6 +201,16 @@ def test_vectors_in_memory(traced):
     wanted = traced.vectors.reshape(len(traced.vectors), 1, -1)
     difference = transfer_vectors(gpu.vertices, gpu.functions, gpu.zeros) - wanted
     assert np.linalg.norm(difference) / np.linalg.norm(wanted) == pytest.approx(gpu.expected.relative(), rel=0.01)
+
+
+@pytest.mark.parametrize("size", [1e-2, 0.0])
+def test_dim_transfer_loses_no_larger_part(traced, size):
+    """As that of dark colours in three channels: what is rounded goes by its size."""
+    dim = gpu_transfer(replace(traced, vectors=(size * traced.vectors).astype(np.float32)))
+    if size == 0.0:
+        assert_exact(dim.functions, 0.0, "nothing is there")
+    else:
+        assert dim.error() == pytest.approx(gpu_transfer(traced).error(), rel=0.05)
 
 
 def test_as_many_functions_as_there_are_lose_only_rounding(traced):
