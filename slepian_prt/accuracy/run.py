@@ -23,13 +23,8 @@ from slepian_prt.compression.bases import BASES
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import (
-    Projected,
-    encode_planned,
-    encode_transfer,
-    project_transfer,
-    trace_and_project,
-)
+from slepian_prt.compression.stream import encode_planned, encode_transfer, project_transfer
+from slepian_prt.compression.tracing import Projected, trace_and_project
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.vertex_error import ErrorMetric
 from slepian_prt.transport.effects import Effect
