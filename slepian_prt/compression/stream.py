@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,15 +27,17 @@ from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettin
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, store_mesh
 from slepian_prt.compression.stored_mesh.transfers import as_stored, stored_mesh_of
 from slepian_prt.compression.tracing import Projected, trace_and_project
+from slepian_prt.compression.tracing_by_workers import trace_by_workers
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.estimator import TransferBlock
+from slepian_prt.transport.estimator import Estimator, TransferBlock
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 if TYPE_CHECKING:
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.scene.loading import SceneSource
 
 # Receivers that are projected at a time when their vectors are there.
@@ -219,6 +222,7 @@ def precompute_compressed(
     on_plan: Callable[[tuple[Effect, ...]], None] = _silent,
     advance: Advance = _silent,
     report: Report = _silent,
+    crew: Crew | None = None,
 ) -> CompressedTransfer:
     """Transfer of a scene, compressed as it is traced.
 
@@ -234,6 +238,8 @@ def precompute_compressed(
     on_plan, advance : as of `precompute`
     report : callable
         Told what is being done.
+    crew : Crew, optional
+        Workers that trace and code; the file is the same with any number of them, and without.
 
     Raises
     ------
@@ -248,9 +254,23 @@ def precompute_compressed(
         seed, receivers = transport.seed, _stored_mesh(planned, settings).mesh.receivers
         vectors = source.estimate(pilot_of(grouping, seed)).vectors
         learned = learn_bases(settings, receivers, grouping, int(transport.bandlimit), seed, vectors)
-        with trace_and_project(planned, source, learned, advance) as projected:
+        with trace(planned, source, learned, scene, crew, advance) as projected:
             report("coding")
             return encode_planned(planned, projected)
+
+
+def trace(
+    planned: PlannedScene,
+    source: Estimator[Any],
+    learned: LearnedBases,
+    scene: SceneSource,
+    crew: Crew | None,
+    advance: Advance = _silent,
+) -> AbstractContextManager[Projected]:
+    """As `trace_and_project`, here or by workers."""
+    if crew is None:
+        return trace_and_project(planned, source, learned, advance)
+    return trace_by_workers(planned, source, learned, crew, scene, advance)
 
 
 def encode_planned(
