@@ -11,7 +11,6 @@ from click.core import ParameterSource
 
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
-    KEPT_ORDER,
     clamp_option,
     environment_option,
     grouping_options,
@@ -22,6 +21,7 @@ from slepian_prt.cli.options import (
 )
 from slepian_prt.cli.values import Names, read_light, settings_of
 from slepian_prt.errors import UserError
+from slepian_prt.files import KEPT_ORDER
 
 if TYPE_CHECKING:
     from slepian_prt.compression.settings import CompressionSettings
