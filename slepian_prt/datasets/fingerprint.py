@@ -73,7 +73,7 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, np.ndarray):
-        return [value.shape, str(value.dtype), hashlib.blake2b(np.ascontiguousarray(value)).hexdigest()]
+        return [value.shape, str(value.dtype), hashlib.blake2b(value.tobytes()).hexdigest()]
     if isinstance(value, dict):
         return {str(key): _plain(part) for key, part in value.items()}
     if isinstance(value, list | tuple):

@@ -60,7 +60,7 @@ def read_rows(path: str | Path, crease_angle: float = 180.0) -> ObjRows:
     path = Path(path)
     check_readable(path, "an OBJ file")
     if path.suffix.lower() != ".obj":
-        raise UserError(f"{path}: PIFu and ICON read OBJ files only; convert it, or write `format=prt`")
+        raise UserError(f"{path}: PIFu and ICON read OBJ files only; convert it, or choose `formats=prt`")
     if path.stat().st_size == 0:
         raise UserError(f"{path}: the file is empty; export the mesh again")
     said = read_statements(path)

@@ -108,7 +108,7 @@ def _check(scenes: Sequence[str | Path], settings: ScanSettings) -> None:
         raise UserError("no scene is given; name some")
     if not settings.formats or set(settings.formats) - set(FORMATS):
         wrong = next(iter(set(settings.formats) - set(FORMATS)), "none")
-        raise UserError(f"`format` must be some of {', '.join(FORMATS)}, not {wrong!r}")
+        raise UserError(f"`formats` must be some of {', '.join(FORMATS)}, not {wrong!r}")
     settings.compression.check(settings.transport.bandlimit)
     if settings.goal is not None:
         settings.goal.check()

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from slepian_prt.accuracy.goal import Light
 from slepian_prt.accuracy.run import precompute_within
@@ -47,10 +46,10 @@ def precompute_scan(job: ScanJob) -> ScanResult:
             if _is_there(job, known.fingerprint):
                 assert job.before is not None
                 return replace(job.before, source=job.source, kept=True)
+            if _TRAINING.keys() & set(job.settings.formats):  # first, as they refuse more, and sooner
+                known = _write_training(job, known)
             if "prt" in job.settings.formats:
                 known = _write_prt(job, known)
-            if _TRAINING.keys() & set(job.settings.formats):
-                known = _write_training(job, known)
             known = _measured(job, known)
         except UserError as error:
             known = replace(known, failure=str(error))
@@ -74,7 +73,7 @@ def _is_there(job: ScanJob, wanted: str) -> bool:
 
 
 def _write_prt(job: ScanJob, known: ScanResult) -> ScanResult:
-    """The compressed transfer."""
+    """The compressed transfer, of which the result tells then."""
     settings, output = job.settings, f"{job.name}.prt"
     packed = _compressed(job)
     clock = Clock(packed.seconds)
@@ -83,11 +82,11 @@ def _write_prt(job: ScanJob, known: ScanResult) -> ScanResult:
     error = max(packed.verified.values()) if packed.verified else settings.compression.expected_error(packed.expected)
     return replace(
         known,
-        outputs=(output,),
-        seconds=clock.seconds,
+        outputs=(output, *known.outputs),
+        seconds=_added(known.seconds, clock.seconds),
         error=float(f"{error:.4g}"),
         vertices=packed.vertex_count,
-        rays=packed.rays_traced,
+        rays=known.rays + packed.rays_traced,
     )
 
 
@@ -100,26 +99,32 @@ def _compressed(job: ScanJob) -> CompressedTransfer:
 
 
 def _write_training(job: ScanJob, known: ScanResult) -> ScanResult:
-    """Files of the formats of order 2, which share their rays; what a ``.prt`` tells of the scan stands."""
+    """Files of the formats of order 2, which share their rays."""
     settings, clock = job.settings, Clock()
     crease = settings.transport.crease_angle
     mesh, faces = read_rows(job.source, 180.0 if crease is None else crease)
     traced = trace_order_two(mesh, settings.samples, settings.transport.seed, clock.stop)
-    outputs = list(known.outputs)
+    files: dict[str, bytes] = {}
     for name, made in _TRAINING.items():
-        for path, content in made(job.name, traced.vectors, faces).items() if name in settings.formats else ():
-            (Path(job.folder) / path).parent.mkdir(parents=True, exist_ok=True)
-            with atomic_output(Path(job.folder) / path) as file:
-                file.write(content)
-            outputs.append(path)
+        files |= made(job.name, traced.vectors, faces) if name in settings.formats else {}
+    for path, content in files.items():
+        (Path(job.folder) / path).parent.mkdir(parents=True, exist_ok=True)
+        with atomic_output(Path(job.folder) / path) as file:
+            file.write(content)
     clock.stop("write")
-    seconds = {stage: known.seconds.get(stage, 0.0) + taken for stage, taken in clock.seconds.items()}
-    told: dict[str, Any] = (
-        {} if known.outputs else {"error": float(f"{traced.error:.4g}"), "vertices": len(mesh.positions)}
-    )
     return replace(
-        known, outputs=tuple(outputs), seconds={**known.seconds, **seconds}, rays=known.rays + traced.rays, **told
+        known,
+        outputs=tuple(files),
+        seconds=clock.seconds,
+        error=float(f"{traced.error:.4g}"),
+        vertices=len(mesh.positions),
+        rays=traced.rays,
     )
+
+
+def _added(seconds: dict[str, float], more: dict[str, float]) -> dict[str, float]:
+    """Stage by stage."""
+    return {stage: seconds.get(stage, 0.0) + more.get(stage, 0.0) for stage in dict.fromkeys((*seconds, *more))}
 
 
 def _measured(job: ScanJob, known: ScanResult) -> ScanResult:
