@@ -66,7 +66,9 @@ def name_scans(sources: Sequence[str | Path]) -> dict[str, str]:
             depth[path] += 1
     for alike in same.values():
         if len(alike) > 1:
-            raise UserError(f"{alike[0]} and {alike[1]} would both become {names[alike[0]]}; rename one of them")
+            raise UserError(
+                f"the outputs of {alike[0]} and {alike[1]} would have the same names; rename one of the two"
+            )
     return names
 
 

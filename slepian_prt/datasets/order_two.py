@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.errors import UserError
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import morton
@@ -73,12 +72,10 @@ def trace_order_two(
     Raises
     ------
     UserError
-        No face can be lit, or no LLVM for Mitsuba works here.
+        No LLVM for Mitsuba works here.
     """
     with open_scene(mesh) as scene:
         active = np.flatnonzero(scene.receivers.active)
-        if not active.size:
-            raise UserError(f"{mesh.name}: no face can be lit; export the mesh again")
         points = _origins(scene)
         chosen = np.random.default_rng(seed).choice(active, min(_CHECKED, active.size), replace=False)
         scene.geometry  # noqa: B018 (built now, for the clock)
