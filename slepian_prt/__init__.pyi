@@ -3,6 +3,8 @@ from .compression.compressed import CompressedTransfer as CompressedTransfer
 from .compression.files.prt_file import load as load
 from .compression.film_compression import compress_film as compress_film
 from .compression.stream import compress as compress
+from .datasets.jobs import ScanResult as ScanResult
+from .datasets.precompute_set import precompute_set as precompute_set
 from .errors import UserError as UserError
 from .evaluation.drawing import plot_errors as plot_errors
 from .evaluation.drawing import plot_picture as plot_picture

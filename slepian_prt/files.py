@@ -15,6 +15,10 @@ import platformdirs
 
 from slepian_prt.errors import UserError
 
+# Vertices up to which transfer files keep the order of their source unasked: scripts pair them with arrays of their
+# own, and it takes some 30 kB at most.
+KEPT_ORDER = 1 << 14
+
 # Finished work of jobs that nobody came back to.
 _STALE_SECONDS = 14 * 24 * 3600.0
 

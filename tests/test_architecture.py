@@ -15,7 +15,7 @@ BESIDE = ("errors", "files", "summary", "examples")
 LAYERS = (
     "sphere", "slepian", "renderer", "lighting", "scene", "paths", "transport", "compression", "relighting",
     "runtime", "export", "viewer",
-    "evaluation", "accuracy", "cli",
+    "evaluation", "accuracy", "datasets", "cli",
 )  # fmt: skip
 
 LONGEST_FILE = 400

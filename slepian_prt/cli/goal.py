@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from slepian_prt.cli.messages import note, say
-from slepian_prt.cli.options import KEPT_ORDER
 from slepian_prt.cli.terminal import describe, print_plan, print_table, progress
+from slepian_prt.files import KEPT_ORDER
 
 if TYPE_CHECKING:
     from slepian_prt.accuracy.goal import Goal, Light

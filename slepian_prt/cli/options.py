@@ -10,10 +10,6 @@ import click
 from slepian_prt.cli.values import Albedo, LampScale, Names, Parameter, Point, as_dict, as_scales
 from slepian_prt.errors import UserError
 
-# Vertices up to which files keep the order of their source unasked: scripts pair them with arrays of their own, and it
-# takes some 30 kB at most.
-KEPT_ORDER = 1 << 14
-
 Decorator = Callable[[Any], Any]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,21 +12,23 @@ from click.core import ParameterSource
 
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
-    KEPT_ORDER,
     clamp_option,
     environment_option,
     grouping_options,
     output_option,
-    scene_argument,
     together,
     transport_options,
 )
+from slepian_prt.cli.scans import into_folder, precompute_scans, set_options
 from slepian_prt.cli.values import Names, read_light, settings_of
 from slepian_prt.errors import UserError
+from slepian_prt.files import KEPT_ORDER
 
 if TYPE_CHECKING:
     from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.transport.settings import TransportSettings
+
+_GIVEN = ParameterSource.COMMANDLINE
 
 # How to compress: fields of `CompressionSettings`.
 _compression_options = together(
@@ -86,8 +89,9 @@ _goal_options = together(
 
 
 @click.command()
-@scene_argument
-@output_option()
+@click.argument("scenes", nargs=-1, type=click.Path(), metavar="SCENE...")
+@output_option("File of one scene (.prt), or folder of any number of them.")
+@set_options
 @_goal_options
 @transport_options
 @_compression_options
@@ -96,8 +100,11 @@ _goal_options = together(
 @click.pass_context
 def precompute(
     context: click.Context,
-    scene: str,
+    scenes: tuple[str, ...],
     output: str,
+    listed: str | None,
+    formats: tuple[str, ...],
+    as_json: bool,
     max_error: float | None,
     max_seconds: float | None,
     environment: tuple[str, ...],
@@ -105,48 +112,66 @@ def precompute(
     clamp_negative: bool,
     keep_order: bool,
     **options: Any,
-) -> None:
-    """Precompute the transfer of SCENE (ply, obj, stl, off, glb, gltf or Mitsuba xml), compress it, write one file.
+) -> int:
+    """Precompute the transfer of each SCENE (ply, obj, stl, off, glb, gltf or Mitsuba xml), compress it, write a file.
 
     Stopped or killed, the same command goes on from the blocks of vertices that were finished.
+
+    Several scenes, or those of a list, go into a folder, each into a file of its name, and results.jsonl there tells of
+    each. What is there already is not done again. A scene that fails does not stop the others; the exit status is 1.
 
     With --max-error or --max-seconds, rays, bandlimit and tolerance are chosen from a pilot, unless they are given, and
     what came of it is verified on vertices held out.
     """
-    from slepian_prt import files
     from slepian_prt.accuracy.goal import Goal
     from slepian_prt.compression.settings import CompressionSettings
     from slepian_prt.transport.settings import TransportSettings
 
     started = time.perf_counter()
     transport = settings_of(TransportSettings, options)
-    aimed = max_error is not None or max_seconds is not None
-    if environment and not aimed:
+    given = {name: options[name] for name in ("samples", "bandlimit") if context.get_parameter_source(name) is _GIVEN}
+    goal = Goal(max_error, max_seconds, **given) if max_error is not None or max_seconds is not None else None
+    if environment and goal is None:
         raise UserError("`environment` says what `max_error` and `max_seconds` are about; give one of them too")
     if clamp_negative and not environment and not light_prior:
         note("`clamp_negative` has no effect without a map: give `environment` or `light_prior`")
     prior = None
-    if light_prior and not aimed:
+    if light_prior and goal is None:
         prior = read_light((), light_prior, clamp_negative).prior(transport.bandlimit)
     settings = settings_of(CompressionSettings, options, light_prior=prior)
     settings.check(transport.bandlimit)
-    files.check_writable(output, scene)
-    if Path(output).suffix.lower() != ".prt":
-        raise UserError(f"{output}: transfer files end in .prt; name the output so")
-    if aimed:
-        from slepian_prt.cli.goal import precompute_toward
-
-        given = {
-            name: options[name]
-            for name in ("samples", "bandlimit")
-            if context.get_parameter_source(name) is ParameterSource.COMMANDLINE
-        }
-        goal = Goal(max_error, max_seconds, **given)
+    is_set = into_folder(scenes, listed, formats, output)
+    if not is_set:
+        _check_one(scenes[0], output, as_json)
+    light = None
+    if goal is not None:
         goal.check()
         light = read_light(environment, light_prior, clamp_negative)
-        precompute_toward(scene, output, goal, light, settings, transport, started, keep_order=keep_order)
+    if is_set:
+        from slepian_prt.datasets.jobs import ScanSettings
+
+        kept_order = sys.maxsize if keep_order else KEPT_ORDER
+        asked = ScanSettings(formats or ("prt",), transport, settings, goal, light, kept_order, given.get("samples"))
+        return precompute_scans(scenes, listed, output, asked, as_json=as_json)
+    if goal is None:
+        _precompute(scenes[0], output, settings, transport, keep_order=keep_order)
     else:
-        _precompute(scene, output, settings, transport, keep_order=keep_order)
+        from slepian_prt.cli.goal import precompute_toward
+
+        assert light is not None
+        precompute_toward(scenes[0], output, goal, light, settings, transport, started, keep_order=keep_order)
+    return 0
+
+
+def _check_one(scene: str, output: str, as_json: bool) -> None:
+    """What is asked of a single file."""
+    from slepian_prt import files
+
+    files.check_writable(output, scene)
+    if Path(output).suffix.lower() != ".prt":
+        raise UserError(f"{output}: transfer files end in .prt; name the output so, or with a / at its end as a folder")
+    if as_json:
+        raise UserError("--json tells of scenes that go into a folder; name the output with a / at its end")
 
 
 def _precompute(

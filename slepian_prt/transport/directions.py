@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import math
 import os
+from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from threading import Lock
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +47,13 @@ _LARGEST_RULE = 1 << 16
 _SHAPES = 3 * QUARTERS * QUARTERS
 
 _TRIANGLES_AT_ONCE = 48
+
+# Sets that are kept, and bytes of tables (the last two are kept whatever their size): a set and its tables take a
+# quarter of a second for the next scene of a thousand.
+_MOST_SETS = 16
+_MOST_BYTES = 1 << 28
+
+Tables: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +130,7 @@ class DirectionSet:
         second = _cross(c - pulled, a - pulled) / area
         return rule, triangle, np.column_stack([first, second, 1.0 - first - second])
 
-    def tables(self, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def tables(self, bandlimit: int) -> Tables:
         """Integrals of the harmonics over the shapes that blocked regions are put together from, kept for reuse.
 
         Returns
@@ -132,10 +141,20 @@ class DirectionSet:
             Row ((3 t + k) 4 + i) 4 + j: what to add to a third of triangle t to get its corner at its vertex k, cut
             off in quarter i of the edge to vertex k+1 and quarter j of the edge to vertex k+2.
         """
-        return _tables(self, bandlimit)
+        with _LOCK:
+            found = _KEPT.pop((self, bandlimit), None) or _tables(self, bandlimit)
+            _KEPT[self, bandlimit] = found
+            while len(_KEPT) > 2 and sum(table.nbytes for kept in _KEPT.values() for table in kept) > _MOST_BYTES:
+                _KEPT.popitem(last=False)
+        return found
 
 
-@lru_cache(maxsize=4)
+# Tables that were asked for last stand last.
+_KEPT: OrderedDict[tuple[DirectionSet, int], Tables] = OrderedDict()
+_LOCK = Lock()
+
+
+@lru_cache(maxsize=_MOST_SETS)
 def direction_set(nodes: int) -> DirectionSet:
     """A set of ``nodes`` directions about z, distributed evenly under the cosine."""
     from scipy.spatial import Delaunay  # only here, so that what needs no ray starts without it
@@ -153,8 +172,7 @@ def raise_to_sphere(points: NDArray) -> NDArray[np.float64]:
     return np.column_stack([points, np.sqrt(np.maximum(0.0, 1.0 - np.sum(points * points, axis=1)))])
 
 
-@lru_cache(maxsize=2)
-def _tables(directions: DirectionSet, bandlimit: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _tables(directions: DirectionSet, bandlimit: int) -> Tables:
     size, count = num_coefficients(bandlimit), len(directions.triangles)
     corners = np.empty((count, _SHAPES, size), dtype=np.float32)
     triangles = np.empty((count, size))

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+import slepian_prt.transport.directions as directions_module
 from slepian_prt.slepian.kernels import cosine_lobe
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
@@ -126,3 +127,22 @@ def test_tables_are_sums_over_the_points_of_the_rule():
                 1.0 / len(directions.triangles),
             )
     assert_rounded(nodes, expected.astype(np.float32), 300, 1.0)
+
+
+def test_tables_of_many_sets_are_kept():
+    """Whatever is asked for in turn is made once, unless it takes too much memory."""
+    sets = [direction_set(nodes) for nodes in (20, 30, 40)]
+    first = [[directions.tables(bandlimit) for bandlimit in (1, 2)] for directions in sets]
+    again = [[directions.tables(bandlimit) for bandlimit in (1, 2)] for directions in sets]
+    assert all(a is b for one, other in zip(first, again, strict=True) for a, b in zip(one, other, strict=True))
+
+
+def test_tables_do_not_fill_the_memory(monkeypatch):
+    monkeypatch.setattr(directions_module, "_MOST_BYTES", 1)
+    directions = direction_set(20)
+    kept = directions.tables(1)
+    directions.tables(2)
+    assert directions.tables(1) is kept  # the last two always
+    directions.tables(2)
+    directions.tables(3)
+    assert directions.tables(1) is not kept

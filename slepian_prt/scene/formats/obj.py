@@ -56,7 +56,7 @@ def read_obj(path: Path) -> MeshFile:
     notes = _describe_left_out(kinds, free)
     notes += [f"its faces name {names}, and it has none" for names in said.dangling]
     materials, numbers = _read_materials(path, said, notes)
-    vertices, corners = _split_at_normals(said) if np.any(said.corners[:, 2] >= 0) else _join_positions(said)
+    vertices, corners = split_at_normals(said) if np.any(said.corners[:, 2] >= 0) else _join_positions(said)
     polygons = Polygons(said.sizes, corners, None, numbers)
     if any(m.material.texture or m.material.metallic_texture for m in materials):
         polygons = _map(polygons, said, materials, notes)
@@ -116,7 +116,7 @@ def _join_positions(said: Statements) -> tuple[Vertices, NDArray[np.int64]]:
     return vertices, joined[said.corners[:, 0]]
 
 
-def _split_at_normals(said: Statements) -> tuple[Vertices, NDArray[np.int64]]:
+def split_at_normals(said: Statements) -> tuple[Vertices, NDArray[np.int64]]:
     """Vertices for pairs of position and normal, and those of the corners."""
     first, same = join_equal(said.normals)
     position, normal = said.corners[:, 0], np.append(same, -1)[said.corners[:, 2]]

@@ -1,0 +1,123 @@
+"""Transfer of many scenes: `precompute_set`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.datasets.fingerprint import settings_digest
+from slepian_prt.datasets.jobs import FORMATS, ScanJob, ScanResult, ScanSettings
+from slepian_prt.datasets.naming import name_scans
+from slepian_prt.datasets.records import open_records
+from slepian_prt.datasets.scan import precompute_scan
+from slepian_prt.errors import UserError
+from slepian_prt.files import check_folder
+from slepian_prt.transport.settings import TransportSettings
+
+Mapped = Callable[[Callable[[ScanJob], ScanResult], Sequence[ScanJob]], Iterable[ScanResult]]
+
+
+def precompute_set(
+    scenes: Iterable[str | Path],
+    folder: str | Path,
+    *,
+    formats: str | Sequence[str] = "prt",
+    on_result: Callable[[ScanResult], None] = lambda _: None,
+    mapped: Mapped = map,
+    **settings: Any,
+) -> list[ScanResult]:
+    """Transfer of many scenes, each written into a folder; what is there already is not done again.
+
+    A scene that fails does not stop the others: its result says why. ``results.jsonl`` in the folder has a line for
+    each scene. Work that is killed goes on, when it is started again, with the scenes that are not there whole, or were
+    made of other files, with other settings or by another version of the package.
+
+    Parameters
+    ----------
+    scenes : paths
+        Of mesh files and Mitsuba scenes.
+    folder : path
+        Made if it is not there.
+    formats : some of ``prt``, ``pifu`` and ``icon``
+        ``NAME.prt``; what PIFu's or ICON's training reads, of OBJ files: direct transfer of order 2 with all faces in
+        the order of the file.
+    on_result : callable
+        Given each result when it is there.
+    mapped : callable
+        Calls a function for each of some jobs, both of which can be pickled, and gives the results in any order, as
+        ``map`` does here and those of pools and clusters do elsewhere.
+    **settings
+        As of `precompute` and `compress`: ``bandlimit``, ``tolerance``, …. Where ``samples`` is given it counts for all
+        formats; ``bandlimit``, ``effects`` and compression count for ``prt``.
+
+    Returns
+    -------
+    list of ScanResult
+        In the order of the scenes; a scene that is given twice has one.
+
+    Raises
+    ------
+    UserError
+        No scene, an unknown format or setting, two scenes whose outputs would have the same name, or a folder that
+        cannot be written to or has outputs of that name that are of another scene.
+    """
+    kinds = (TransportSettings, CompressionSettings)
+    transport, compression = ({field.name for field in fields(kind)} for kind in kinds)
+    unknown = sorted(set(settings) - transport - compression)
+    if unknown:
+        raise UserError(f"{unknown[0]!r} is no setting of precompute or compress")
+    asked = ScanSettings(
+        formats=(formats,) if isinstance(formats, str) else tuple(formats),
+        transport=TransportSettings(**{name: value for name, value in settings.items() if name in transport}),
+        compression=CompressionSettings(**{name: value for name, value in settings.items() if name in compression}),
+        samples=settings.get("samples"),
+    )
+    return run_set(list(scenes), folder, asked, on_result, mapped)
+
+
+def run_set(
+    scenes: Sequence[str | Path],
+    folder: str | Path,
+    settings: ScanSettings,
+    on_result: Callable[[ScanResult], None] = lambda _: None,
+    mapped: Mapped = map,
+) -> list[ScanResult]:
+    """As `precompute_set`."""
+    _check(scenes, settings)
+    check_folder(folder)
+    names, asked = name_scans(scenes), settings_digest(settings)
+    with open_records(Path(folder)) as records:
+        jobs = [ScanJob(path, name, str(folder), settings, asked, records[name]) for path, name in names.items()]
+        for job in jobs:
+            _check_owner(job)
+        done: dict[str, ScanResult] = {}
+        for result in mapped(precompute_scan, jobs):
+            if not result.kept:
+                records.add(result)
+            done[result.source] = result
+            on_result(result)
+        records.tidy(names.values())
+    return [done[path] for path in names]
+
+
+def _check(scenes: Sequence[str | Path], settings: ScanSettings) -> None:
+    if not scenes:
+        raise UserError("no scene is given; name some")
+    if not settings.formats or set(settings.formats) - set(FORMATS):
+        wrong = next(iter(set(settings.formats) - set(FORMATS)), "none")
+        raise UserError(f"`formats` must be some of {', '.join(FORMATS)}, not {wrong!r}")
+    settings.compression.check(settings.transport.bandlimit)
+    if settings.goal is not None:
+        settings.goal.check()
+
+
+def _check_owner(job: ScanJob) -> None:
+    """Raise UserError if the outputs of a scan would take the place of those of another."""
+    before = job.before
+    if before is None or before.failure is not None or Path(before.source).absolute() == Path(job.source).absolute():
+        return
+    if Path(before.source).is_file():
+        raise UserError(f"{job.folder}: {job.name} there is of {before.source}; choose another folder for {job.source}")
