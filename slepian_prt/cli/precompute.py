@@ -19,6 +19,7 @@ from slepian_prt.cli.options import (
     scene_argument,
     together,
     transport_options,
+    variant_option,
 )
 from slepian_prt.cli.values import Names, read_light, settings_of
 from slepian_prt.errors import UserError
@@ -93,6 +94,7 @@ _goal_options = together(
 @_compression_options
 @_keep_order_option
 @grouping_options
+@variant_option
 @click.pass_context
 def precompute(
     context: click.Context,

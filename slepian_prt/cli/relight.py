@@ -16,6 +16,7 @@ from slepian_prt.cli.options import (
     output_option,
     picture_options,
     rotate_option,
+    variant_option,
     width_option,
 )
 from slepian_prt.cli.values import Names, read_transfer, settings_of
@@ -54,6 +55,7 @@ from slepian_prt.cli.values import Names, read_transfer, settings_of
     help="Of the files in a folder.",
 )
 @output_option()
+@variant_option
 def relight(
     file: str,
     environment: tuple[str, ...],
