@@ -15,9 +15,9 @@ from slepian_prt.cli.options import (
     parameters_option,
     scene_argument,
     seed_option,
-    variant_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
+from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:

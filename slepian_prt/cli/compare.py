@@ -20,10 +20,10 @@ from slepian_prt.cli.options import (
     rotate_option,
     scene_argument,
     transport_options,
-    variant_option,
     width_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
+from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:

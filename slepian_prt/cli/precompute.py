@@ -19,9 +19,9 @@ from slepian_prt.cli.options import (
     scene_argument,
     together,
     transport_options,
-    variant_option,
 )
 from slepian_prt.cli.values import Names, read_light, settings_of
+from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:

@@ -16,10 +16,10 @@ from slepian_prt.cli.options import (
     output_option,
     picture_options,
     rotate_option,
-    variant_option,
     width_option,
 )
 from slepian_prt.cli.values import Names, read_transfer, settings_of
+from slepian_prt.cli.variant import variant_option
 
 
 @click.command()

@@ -23,9 +23,9 @@ from slepian_prt.cli.options import (
     rotate_option,
     scene_argument,
     seed_option,
-    variant_option,
 )
 from slepian_prt.cli.values import Several, read_maps, settings_of
+from slepian_prt.cli.variant import variant_option
 
 if TYPE_CHECKING:
     from slepian_prt.evaluation.sweep.results import Sweep

@@ -21,9 +21,9 @@ from slepian_prt.cli.options import (
     output_option,
     picture_options,
     rotate_option,
-    variant_option,
 )
 from slepian_prt.cli.values import read_transfer, settings_of
+from slepian_prt.cli.variant import variant_option
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
