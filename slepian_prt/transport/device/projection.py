@@ -105,9 +105,12 @@ class DeviceTables:
         self._mi, self._size = mi, num_coefficients(bandlimit)
         self._columns = padded(self._size)
         self._rotation = DeviceRotation(mi, bandlimit)
-        # Behind the columns of the harmonics, one packet whose first number is how often outlines turn.
-        nodes = padded_rows(tables.nodes, self._columns + PACKET)
-        nodes[:, self._columns] = tables.turns
+        # Behind the columns of the harmonics, one packet whose first number is how often outlines turn. Matrices of
+        # whole packets are multiplied by tiles eight times as wide on CUDA.
+        self._size_of_set = len(tables.nodes)
+        nodes = np.zeros((padded(self._size_of_set), self._columns + PACKET), dtype=np.float32)
+        nodes[: self._size_of_set, : self._size] = tables.nodes
+        nodes[: self._size_of_set, self._columns] = tables.turns
         self._nodes = mi.TensorXf(nodes)
         self._corners = mi.Float(padded_rows(tables.corners, self._columns).ravel())
         self._sky = _packets(mi, tables.sky, self._columns)
@@ -167,10 +170,8 @@ class DeviceTables:
         """
         import drjit as dr
 
-        mi, size = self._mi, self._nodes.shape[0]
-        is_blocked = mi.TensorXf(dr.select(found.blocked, 1.0, 0.0), (found.count, size))
-        product: Any = dr.matmul(is_blocked, self._nodes)
-        sums = product.array
+        mi, size = self._mi, self._size_of_set
+        sums = self._sums_at_nodes(found)
         closed = dr.block_sum(dr.select(found.blocked, mi.UInt32(1), 0), size) == size
         corners = self._cut_triangles(found)
         dr.eval(sums, closed)
@@ -195,6 +196,17 @@ class DeviceTables:
         seen = dr.gather(mi.Vector4f, self._sky, packet) - value
         return dr.select(is_closed, 0.0, seen), part
 
+    def _sums_at_nodes(self, found: DeviceVisibility) -> Any:
+        """Float (n (columns + 4)), rows of the table at blocked nodes added up."""
+        import drjit as dr
+
+        mi, size, columns = self._mi, self._size_of_set, self._nodes.shape[0]
+        place, node = pairs(mi, found.count, columns)
+        inside = node < size
+        blocked = dr.gather(mi.Bool, found.blocked, place * dr.opaque(mi.UInt32, size) + node, inside)
+        product: Any = dr.matmul(mi.TensorXf(dr.select(blocked, 1.0, 0.0), (found.count, columns)), self._nodes)
+        return product.array
+
     def _with_bulges(self, value: Any, turns: Any, packet: Any) -> Any:
         """What chords cut off, given back: see `OcclusionTables`; degrees 0 and 1 are the first packet."""
         import drjit as dr
@@ -210,7 +222,7 @@ class DeviceTables:
         """Rows of the table of corners that each receiver adds or subtracts."""
         import drjit as dr
 
-        mi, size, count = self._mi, self._nodes.shape[0], dr.width(self._triangles[0])
+        mi, size, count = self._mi, self._size_of_set, dr.width(self._triangles[0])
         place, triangle = pairs(mi, found.count, count)
         a, b, c = self._at_corners(found.blocked, place, triangle, size)
         cut = (a ^ b) | (b ^ c)
