@@ -17,6 +17,7 @@ from slepian_prt.cli.options import (
     seed_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
+from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 @click.option("--no-smooth", is_flag=True, help="Keep the noise as it is.")
 @parameters_option
 @seed_option
+@variant_option
 def capture(
     scene: str,
     output: str,

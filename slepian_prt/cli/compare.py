@@ -23,6 +23,7 @@ from slepian_prt.cli.options import (
     width_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
+from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     help="The sweep.json of this scene: its fronts are shown too.",
 )
 @click.option("--viewer", is_flag=True, help="Beside the report, a page to turn model and light in: viewer.html.")
+@variant_option
 def compare(
     scene: str,
     environment: tuple[str, ...],

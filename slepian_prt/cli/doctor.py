@@ -7,10 +7,12 @@ import json
 import click
 
 from slepian_prt.cli.options import json_option
+from slepian_prt.cli.variant import variant_option
 
 
 @click.command()
 @json_option
+@variant_option
 def doctor(as_json: bool) -> int:
     """What runs here: Mitsuba, variant, LLVM, cores, speed; and how to mend what does not."""
     from slepian_prt.cli.machine import examine

@@ -10,6 +10,7 @@ import click
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import clamp_option, file_argument, output_option, rotate_option
 from slepian_prt.cli.values import read_maps, read_transfer
+from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 from slepian_prt.export.kinds import ATTRIBUTES, KINDS, check_export
 
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 @click.option("--scene", type=click.Path(), metavar="PATH", help="What FILE was made from: its textures are written.")
 @click.option("--up", type=click.Choice(["y", "z"]), default="y", show_default=True, help="What is up in the model.")
 @output_option("Where to write: .glb, or .ply for all but transfer.")
+@variant_option
 def export(
     file: str,
     what: str,

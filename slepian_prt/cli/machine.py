@@ -12,8 +12,12 @@ from typing import Any
 
 from slepian_prt.errors import UserError
 from slepian_prt.renderer import llvm
-from slepian_prt.renderer.variants import cuda_works, usable_variant
+from slepian_prt.renderer.variants import NO_DEVICE, cuda_failure, usable_variant
 
+_DRIVER = (
+    "Mitsuba's cuda_* variants need an NVIDIA driver of version 535 or newer, of 570 for the newest cards, with "
+    "OptiX in it (in a container: NVIDIA_DRIVER_CAPABILITIES=all), and a device of compute capability 7.5 or higher"
+)
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "trimesh", "OpenEXR")
 
 
@@ -47,7 +51,7 @@ def examine() -> list[Finding]:
             # One that fails matters only if none works.
             remedy = llvm.REMEDY if path is None else ""
             findings.append(Finding("LLVM", f"{attempt.path}: {attempt.failure}", path is not None, remedy))
-    findings.append(Finding("CUDA", "works" if cuda_works() else "no device that OptiX can use (not needed)"))
+    findings.append(_cuda())
     try:
         variant = usable_variant()
     except UserError:
@@ -56,6 +60,27 @@ def examine() -> list[Finding]:
     findings.append(Finding("variant", variant))
     findings.append(_speed())
     return findings
+
+
+def _cuda() -> Finding:
+    """The device that OptiX uses, or why none; one that is there and does not work may be mended."""
+    failure = cuda_failure()
+    if failure == NO_DEVICE:
+        return Finding("CUDA", f"{failure} (not needed)")
+    if failure:
+        return Finding("CUDA", f"does not work: {failure}", remedy=_DRIVER)
+    return Finding("CUDA", f"{_device()} works")
+
+
+def _device() -> str:
+    """The first device's name, memory and driver, as NVIDIA's own tool has them; "a device" without the tool."""
+    command = ["nvidia-smi", "--query-gpu=name,memory.total,driver_version", "--format=csv,noheader"]
+    try:
+        run = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return "a device"
+    name, *about = (part.strip() for part in run.stdout.partition("\n")[0].split(","))
+    return f"{name} ({', driver '.join(about)})" if run.returncode == 0 and len(about) == 2 else "a device"
 
 
 def _package(name: str) -> Finding:

@@ -21,6 +21,7 @@ from slepian_prt.cli.options import (
 )
 from slepian_prt.cli.scans import into_folder, precompute_scans, set_options
 from slepian_prt.cli.values import Names, read_light, settings_of
+from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 from slepian_prt.files import KEPT_ORDER
 
@@ -97,6 +98,7 @@ _goal_options = together(
 @_compression_options
 @_keep_order_option
 @grouping_options
+@variant_option
 @click.pass_context
 def precompute(
     context: click.Context,

@@ -19,6 +19,7 @@ from slepian_prt.cli.options import (
     width_option,
 )
 from slepian_prt.cli.values import Names, read_transfer, settings_of
+from slepian_prt.cli.variant import variant_option
 
 
 @click.command()
@@ -54,6 +55,7 @@ from slepian_prt.cli.values import Names, read_transfer, settings_of
     help="Of the files in a folder.",
 )
 @output_option()
+@variant_option
 def relight(
     file: str,
     environment: tuple[str, ...],

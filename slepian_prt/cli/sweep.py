@@ -25,6 +25,7 @@ from slepian_prt.cli.options import (
     seed_option,
 )
 from slepian_prt.cli.values import Several, read_maps, settings_of
+from slepian_prt.cli.variant import variant_option
 
 if TYPE_CHECKING:
     from slepian_prt.evaluation.sweep.results import Sweep
@@ -55,6 +56,7 @@ def _axis(flag: str, kind: type, metavar: str, default: str | None, what: str) -
 @rotate_option
 @clamp_option
 @noise_option(0.005)
+@variant_option
 def sweep(
     scene: str,
     environment: tuple[str, ...],

@@ -23,6 +23,7 @@ from slepian_prt.cli.options import (
     rotate_option,
 )
 from slepian_prt.cli.values import read_transfer, settings_of
+from slepian_prt.cli.variant import variant_option
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 @click.option("--scene", type=click.Path(), metavar="PATH", help="What FILE was made from: its textures are drawn.")
 @click.option("--no-open", is_flag=True, help="Do not open the page in a browser.")
 @output_option("Where to write the page, an .html file.")
+@variant_option
 def view(
     file: str,
     environment: tuple[str, ...],

@@ -231,9 +231,7 @@ def _sample_vertices(
         if bounces > 0:
             value += _indirect(mi, lit, ray, valid & (local.z > 0.0) & ~open_sky, bounces, seed + begin)
 
-        summed = dr.zeros(mi.Color3f, size)
-        dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(value), vertex)
-        total[chosen] = np.array(summed).T / samples
+        total[chosen] = _means(mi.Color3f(value), samples)
     return total
 
 
@@ -263,10 +261,16 @@ def _sample_toward(scene: Scene, lit: Any, view: View, samples: int, seed: int, 
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed((seed * 7919 + begin) % 2**32, size * samples)
         radiance, _, _ = integrator.sample(lit, sampler, mi.RayDifferential3f(mi.Ray3f(origin, direction)))
-        summed = dr.zeros(mi.Color3f, size)
-        dr.scatter_reduce(dr.ReduceOp.Add, summed, mi.Color3f(radiance), vertex)
-        total[facing[chosen]] = np.array(summed).T / samples
+        total[facing[chosen]] = _means(mi.Color3f(radiance), samples)
     return total
+
+
+def _means(value: Any, samples: int) -> NDArray[np.float64]:
+    """(n, 3) means of a Color3f over ``samples`` lanes each, added up in the same order every time."""
+    import drjit as dr
+
+    dr.eval(value)  # at once: each channel would be traced by its own
+    return np.stack([np.array(dr.block_sum(one, samples), dtype=np.float64) for one in value], axis=1) / samples
 
 
 def _indirect(mi: Any, lit: Any, ray: Any, hits: Any, bounces: int, seed: int) -> Any:

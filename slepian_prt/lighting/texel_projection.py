@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
+from slepian_prt.sphere.harmonics import degrees, legendre_polynomials, num_coefficients, orders
 from slepian_prt.sphere.rotation import rotate_sh
 
 if TYPE_CHECKING:
@@ -95,6 +95,39 @@ class TexelProjection:
             rows, columns = self._finer
             texels = _along(columns.T.tocsr(), _along(rows.T.tocsr(), texels, 0), 1)
         return np.asarray(texels)
+
+    def matrices(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The same map as two matrices, but for the rotation into the world.
+
+        Returns
+        -------
+        along : (2L+1, W)
+            Times a row of texels: its sums with cosines and sines, by order from -L to L.
+        across : (2L+1, L+1, H)
+            For each order: times the sums of all rows, coefficients of all degrees in the map's frame; zero below |m|.
+        """
+        height, width = self._grid
+        bandlimit, azimuth = self.bandlimit, 2.0 * math.pi * (np.arange(width) + 0.5) / width
+        m = np.arange(1, bandlimit + 1)[:, None]
+        # ∫ f e^{-imφ'} dφ' with φ' = -azimuth; coefficients of negative orders are minus its imaginary part.
+        along = np.concatenate([-np.sin(m[::-1] * azimuth), np.ones((1, width)), np.cos(m * azimuth)])
+        along *= 2.0 * math.pi / width
+        across = np.zeros((2 * bandlimit + 1, bandlimit + 1, height))
+        for order, functions in enumerate(_weighted_legendre(bandlimit, height)):
+            across[bandlimit + order, order:] = across[bandlimit - order, order:] = functions
+        if self._finer is not None:
+            rows, columns = self._finer
+            along, across = along @ columns, across @ rows.toarray()
+        return along, across
+
+    def rotation_of_sums(self) -> NDArray[np.float64]:
+        """((L+1)², (2L+1)(L+1)): coefficients in the world from those of `matrices`, order after order."""
+        bandlimit = self.bandlimit
+        degree = degrees(bandlimit)
+        rotation = np.zeros((num_coefficients(bandlimit), (2 * bandlimit + 1) * (bandlimit + 1)))
+        turned = rotate_sh(np.eye(num_coefficients(bandlimit)), self.to_world @ _MAP_TO_WORLD)
+        rotation[:, (orders(bandlimit) + bandlimit) * (bandlimit + 1) + degree] = turned.T
+        return rotation
 
     @staticmethod
     def enough_rows(height: int, bandlimit: int) -> bool:

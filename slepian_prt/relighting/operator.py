@@ -36,7 +36,7 @@ _ALIKE = 4
 
 
 @dataclass(frozen=True)
-class _Group:
+class TileGroup:
     """Caps with equally many functions, in tiles of equally many rows, so that one call multiplies all of them.
 
     Attributes
@@ -75,6 +75,16 @@ class TransferOperator:
     ----------
     parts : Factors of each cap
     members : vertices of each cap
+
+    Attributes
+    ----------
+    functions : (R, channels, (L+1)²) float32
+        Those of all caps, and zeros.
+    groups : list of TileGroup
+    rows : int
+        Of the products of all groups.
+    places : (V,)
+        Which of them are the vertices'.
     """
 
     def __init__(self, parts: Sequence[Factors], members: Sequence[NDArray]) -> None:
@@ -82,11 +92,11 @@ class TransferOperator:
         ranks = np.array([max(1, -(-len(part.functions) // _ALIKE)) * _ALIKE for part in parts])
         ends = np.cumsum(ranks)
         self._functions_of = [slice(int(end - rank), int(end)) for end, rank in zip(ends, ranks, strict=True)]
-        self._functions = _stacked([part.functions for part in parts], self._functions_of)
+        self.functions = _stacked([part.functions for part in parts], self._functions_of)
         self._blocks: list[tuple[NDArray[np.float32], ...]] = [()] * len(parts)
-        self._places = np.empty(sum(m.size for m in self._members), dtype=np.intp)
-        self._groups: list[_Group] = []
-        self._rows = 0
+        self.places = np.empty(sum(m.size for m in self._members), dtype=np.intp)
+        self.groups: list[TileGroup] = []
+        self.rows = 0
         for rank in np.unique(ranks):
             self._add_group(np.flatnonzero(ranks == rank).tolist(), [part.coefficients for part in parts], int(rank))
 
@@ -111,16 +121,16 @@ class TransferOperator:
                 strip[:, : max(0, end - i * width)] = coefficients[c][:, i * width : end]
             self._blocks[c] = block
             functions[tiles] = np.arange(self._functions_of[c].start, self._functions_of[c].stop)
-            self._places[self._members[c]] = self._rows + begin * height + np.arange(size)
+            self.places[self._members[c]] = self.rows + begin * height + np.arange(size)
             begin += count
-        rows = slice(self._rows, self._rows + begin * height)
-        self._groups.append(_Group(strips, functions, rows))
-        self._rows = rows.stop
+        rows = slice(self.rows, self.rows + begin * height)
+        self.groups.append(TileGroup(strips, functions, rows))
+        self.rows = rows.stop
 
     @property
     def size(self) -> int:
         """Numbers that are read for each light: coefficients and functions."""
-        return sum(strip.size for group in self._groups for strip in group.strips) + self._functions.size
+        return sum(strip.size for group in self.groups for strip in group.strips) + self.functions.size
 
     def apply(self, lighting: NDArray) -> NDArray[np.float32]:
         """(B, V, 3) radiance for unit albedo under B lightings (B, 3, (L+1)²)."""
@@ -135,44 +145,44 @@ class TransferOperator:
         """(B, 3, (L+1)²) from gradients (B, V, 3) of radiance: the transpose of `apply`."""
         count = len(gradient)
         given = np.moveaxis(np.asarray(gradient, dtype=np.float32), 0, 1).reshape(-1, 3 * count)
-        lit = np.zeros((len(self._functions), 3 * count), dtype=np.float32)
+        lit = np.zeros((len(self.functions), 3 * count), dtype=np.float32)
         for block, members, functions in zip(self._blocks, self._members, self._functions_of, strict=True):
             here = given[members]
             np.concatenate([strip.T @ here for strip in block], out=lit[functions])
         by_light = lit.reshape(-1, count, 3).astype(np.float64)
-        channels, size = self._functions.shape[1:]
+        channels, size = self.functions.shape[1:]
         result = np.empty((count, 3, size))
         for c in range(3):
-            result[:, c] = by_light[:, :, c].T @ self._functions[:, c if channels == 3 else 0]
+            result[:, c] = by_light[:, :, c].T @ self.functions[:, c if channels == 3 else 0]
         return result
 
     def _apply_one(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
         """(V, 3) from (3, (L+1)²)."""
-        channels, size = self._functions.shape[1:]
+        channels, size = self.functions.shape[1:]
         columns = np.zeros((channels, size, _COLUMNS), dtype=np.float32)
         for c in range(3):
             columns[c if channels == 3 else 0, :, c] = light[c]
         summed = channels * size
-        pieces = self._functions.reshape(-1, _piece(summed), summed)
+        pieces = self.functions.reshape(-1, _piece(summed), summed)
         lit = (pieces @ columns.reshape(summed, _COLUMNS)).reshape(-1, _COLUMNS)
-        product = np.empty((self._rows, _COLUMNS), dtype=np.float32)
-        for group in self._groups:
+        product = np.empty((self.rows, _COLUMNS), dtype=np.float32)
+        for group in self.groups:
             group.multiply(lit, product)
-        radiance = product.view(np.complex128)[:, 0].take(self._places)
+        radiance = product.view(np.complex128)[:, 0].take(self.places)
         return radiance.view(np.float32).reshape(-1, _COLUMNS)[:, :3]
 
     def _apply_many(self, lights: NDArray[np.float32]) -> NDArray[np.float32]:
         """(B, V, 3) from (B, 3, (L+1)²), cap by cap: the product of all would be as large as what is asked for."""
         count = len(lights)
-        channels, size = self._functions.shape[1:]
+        channels, size = self.functions.shape[1:]
         width = -(-3 * count // _COLUMNS) * _COLUMNS
-        lit = np.zeros((len(self._functions), width), dtype=np.float32)
+        lit = np.zeros((len(self.functions), width), dtype=np.float32)
         if channels == 1:
-            lit[:, : 3 * count] = self._functions[:, 0] @ lights.reshape(-1, size).T
+            lit[:, : 3 * count] = self.functions[:, 0] @ lights.reshape(-1, size).T
         else:
             for c in range(3):
-                lit[:, c : 3 * count : 3] = self._functions[:, c] @ lights[:, c].T
-        rows = np.empty((len(self._places), width // _COLUMNS), dtype=np.complex128)
+                lit[:, c : 3 * count : 3] = self.functions[:, c] @ lights[:, c].T
+        rows = np.empty((len(self.places), width // _COLUMNS), dtype=np.complex128)
         for block, members, functions in zip(self._blocks, self._members, self._functions_of, strict=True):
             here, first = lit[functions], block[0].shape[1]
             product = block[0] @ here[:first]

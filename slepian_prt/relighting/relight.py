@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from slepian_prt.transport.transfer import Transfer
 
 # Sampling noise, relative to the largest radiance: what is negative by less does not count.
-_NOISE = 0.01
+NOISE = 0.01
 
 
 def relight(
@@ -129,4 +129,4 @@ def _apply_vectors(vectors: NDArray[np.float32], lights: NDArray[np.float32]) ->
 
 def negative_fraction(radiance: NDArray) -> float:
     """Fraction of the receivers whose radiance (V, 3) is below zero in a channel, by more than sampling noise."""
-    return float(np.mean(radiance.min(axis=1) < -_NOISE * float(radiance.max(initial=0.0))))
+    return float(np.mean(radiance.min(axis=1) < -NOISE * float(radiance.max(initial=0.0))))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,15 +14,22 @@ from typing import Any
 from slepian_prt.errors import UserError
 from slepian_prt.renderer import llvm
 
+# A triangle as well: OptiX traces it by hardware, and the sphere by a program of its own.
 _CUDA_PROBE = """
 import mitsuba as mi, drjit as dr
 mi.set_variant("cuda_ad_rgb")
-scene = mi.load_dict({"type": "scene", "shape": {"type": "sphere"}})
-assert scene.ray_test(mi.Ray3f(mi.Point3f(0, 0, -3), mi.Vector3f(0, 0, 1)))[0]
+for shape in ("sphere", "rectangle", "cube"):
+    scene = mi.load_dict({"type": "scene", "shape": {"type": shape}})
+    assert scene.ray_test(mi.Ray3f(mi.Point3f(0, 0, -3), mi.Vector3f(0, 0, 1)))[0], shape
 """
 
+# What `cuda_failure` says where there is nothing that could work.
+NO_DEVICE = "no NVIDIA device"
 
-@cache
+# Of Linux, and of Linux inside Windows.
+_CUDA_DEVICES = ("/dev/nvidiactl", "/dev/dxg")
+
+
 def usable_variant() -> str:
     """The variant that heavy work runs in: ``SLEPIAN_PRT_VARIANT`` if set, else CUDA if it works, else LLVM.
 
@@ -32,27 +38,73 @@ def usable_variant() -> str:
     UserError
         No LLVM (or CUDA device) that works; the message says how to get one.
     """
-    wanted = os.environ.get("SLEPIAN_PRT_VARIANT", "")
-    if wanted:
-        known = [name for name in imported_mitsuba().variants() if re.fullmatch("(llvm|cuda)_.*_rgb", name)]
-        if wanted not in known:
-            raise UserError(f"SLEPIAN_PRT_VARIANT must be one of {', '.join(known)}, not {wanted!r}")
-        if wanted.startswith("llvm"):
-            prepare_llvm()
-        return wanted
-    if cuda_works():
-        return "cuda_ad_rgb"
-    prepare_llvm()
-    return "llvm_ad_rgb"
+    return _usable(os.environ.get("SLEPIAN_PRT_VARIANT", ""), "SLEPIAN_PRT_VARIANT")
 
 
 @cache
-def cuda_works() -> bool:
-    """Whether a CUDA device is there and OptiX renders on it, tried in a child process."""
-    if not os.path.exists("/dev/nvidiactl") and sys.platform != "win32":
-        return False
-    run = subprocess.run([sys.executable, "-c", _CUDA_PROBE], capture_output=True, timeout=300)
-    return run.returncode == 0
+def _usable(wanted: str, name: str) -> str:
+    """A variant for heavy work that works here: the one wanted, or the best where that is "".
+
+    ``name`` is what it was given as, for messages.
+    """
+    if not wanted:
+        if cuda_failure() == "":
+            return "cuda_ad_rgb"
+        prepare_llvm()
+        return "llvm_ad_rgb"
+    known = [variant for variant in imported_mitsuba().variants() if _is_for_heavy_work(variant)]
+    if wanted not in known:
+        why = "traces one ray at a time" if wanted.startswith("scalar_") else "is not one that transport is traced in"
+        raise UserError(f"{name} must be {' or '.join(known)}: {wanted!r} {why}")
+    if wanted.startswith("llvm_"):
+        prepare_llvm()
+    elif failure := cuda_failure():
+        raise UserError(f"{name} must be one that works here, and {wanted} does not ({failure}): use llvm_ad_rgb")
+    return wanted
+
+
+@cache
+def cuda_failure() -> str:
+    """Why OptiX cannot be used here, in a few words, tried in a child process; "" if it can."""
+    if sys.platform == "darwin" or not (sys.platform == "win32" or any(map(os.path.exists, _CUDA_DEVICES))):
+        return NO_DEVICE
+    try:
+        run = subprocess.run([sys.executable, "-c", _CUDA_PROBE], capture_output=True, text=True, timeout=300)
+    except subprocess.TimeoutExpired:
+        return "OptiX does not answer"
+    if run.returncode == 0:
+        return ""
+    if run.returncode < 0:
+        return f"OptiX kills the process, signal {-run.returncode}"
+    said = [line.strip() for line in run.stderr.splitlines() if line.strip()]
+    return said[-1][:200] if said else f"OptiX ends with exit status {run.returncode}"
+
+
+@contextmanager
+def chosen_variant(name: str | None) -> Iterator[None]:
+    """Heavy work within the block runs in the variant of that name, also in processes that are started; None: any.
+
+    Raises
+    ------
+    UserError
+        A name that is not known, or a variant that is not for many rays in colour, or does not work here.
+    """
+    if name is None:
+        yield
+        return
+    mi = imported_mitsuba()
+    before, given = mi.variant(), os.environ.get("SLEPIAN_PRT_VARIANT")
+    mi.set_variant(_usable(name, "variant"))
+    os.environ["SLEPIAN_PRT_VARIANT"] = name
+    try:
+        yield
+    finally:
+        if given is None:
+            del os.environ["SLEPIAN_PRT_VARIANT"]
+        else:
+            os.environ["SLEPIAN_PRT_VARIANT"] = given
+        if before:
+            mi.set_variant(before)
 
 
 def prepare_llvm() -> str:

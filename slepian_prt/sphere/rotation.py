@@ -82,7 +82,7 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[Any]:
     ]
     for l in range(bandlimit + 1):
         degree = slice(l * l, (l + 1) ** 2)
-        about_y = _to_y_axis(l).astype(dtype, copy=False)
+        about_y = to_y_axis(l).astype(dtype, copy=False)
         v = _turn(columns[degree], turns[2])
         v = about_y.T @ _turn(about_y @ v, turns[1])
         columns[degree] = _turn(v, turns[0])
@@ -129,7 +129,7 @@ def _euler_zyz(rotation: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 
 @cache
-def _to_y_axis(l: int) -> NDArray[np.float64]:
+def to_y_axis(l: int) -> NDArray[np.float64]:
     """The orthogonal J of degree l, (2l+1, 2l+1), rows ordered like m, for which Ry(β) = Jᵀ Z(β) J.
 
     The generator of rotations about y leaves the functions even in y (m >= 0) and those odd in y (m < 0) apart. On

@@ -115,7 +115,14 @@ class Estimator(ABC, Generic[Samples]):
         ------
         TransferBlock, or what ``finish`` makes of it; in the order of ``pieces``
         """
+        if self.stays_on_device:
+            return (finish(self.project(self.trace(piece))) for piece in pieces)
         return overlapped(pieces, self.trace, lambda samples: finish(self.project(samples)))
+
+    @property
+    def stays_on_device(self) -> bool:
+        """Whether vectors are made where rays are traced, so that nothing would go on beside them in a thread."""
+        return False
 
     def estimate(
         self, vertices: NDArray | None = None, advance: Callable[[int], None] = lambda _: None

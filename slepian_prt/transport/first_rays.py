@@ -136,5 +136,9 @@ class FirstRays:
 
 def media_around(scene: Scene, vertices: NDArray[np.int64]) -> Any:
     """MediumPtr, what medium the rays of receivers start in; null for none."""
+    import drjit as dr
+
     mi = scene.mi
-    return medium_at(mi, scene.geometry, mi.Point3f(scene.ray_origins.front[vertices].T.astype(np.float32)))
+    medium = medium_at(mi, scene.geometry, mi.Point3f(scene.ray_origins.front[vertices].T.astype(np.float32)))
+    dr.eval(medium)  # by itself: OptiX traces one scene in a kernel, and what follows may be traced in another
+    return medium

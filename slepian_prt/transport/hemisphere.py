@@ -41,6 +41,8 @@ class HemisphereRays:
     geometry : Mitsuba scene
     rays : int
         Number traced so far.
+    turns : (V,)
+        Angles of the frames about their normals.
     """
 
     def __init__(self, scene: Scene, directions: DirectionSet, seed: int, points: SurfacePoints | None = None) -> None:
@@ -50,12 +52,12 @@ class HemisphereRays:
             self._normals, self._origins = scene.receivers.normals, scene.ray_origins
         else:
             self._normals, self._origins = points.normals, RayOrigins.above(points.origins)
-        self._turns = np.random.default_rng(seed).random(len(self._normals)) * 2.0 * math.pi
+        self.turns = np.random.default_rng(seed).random(len(self._normals)) * 2.0 * math.pi
         self._vectors = upload_vectors(scene.mi, directions.vectors)
 
     def frames(self, vertices: NDArray) -> NDArray[np.float64]:
         """(n, 3, 3) rotations that take z to the normal, after a turn about z."""
-        return turned_frames(self._normals[vertices], self._turns[vertices])
+        return turned_frames(self._normals[vertices], self.turns[vertices])
 
     def rays_from(self, vertices: NDArray, frames: NDArray) -> Callable[[Any, Any], Any]:
         """Upload receivers; returns a function that makes Mitsuba rays of (place among them, direction of the set)."""
@@ -74,14 +76,24 @@ class HemisphereRays:
 
     def to_nodes(self, count: int) -> tuple[Any, Any]:
         """Places and directions of all nodes for ``count`` receivers, those of one receiver side by side."""
-        import drjit as dr
+        return pairs(self.mi, count, self.directions.size)
 
-        mi, size = self.mi, self.directions.size
-        lane = dr.arange(mi.UInt32, count * size)
-        # A half is further from whole numbers than float64 rounds: exact. Vectors of integers cannot be divided on a
-        # processor but one after the other, which took a tenth of the time of the rays.
-        place = mi.UInt32((mi.Float64(lane) + 0.5) * dr.opaque(mi.Float64, 1.0 / size))
-        return place, lane - place * dr.opaque(mi.UInt32, size)
+
+def pairs(mi: Any, count: int, size: int) -> tuple[Any, Any]:
+    """UInt32 numbers of the rows and columns of a table (count, size), row after row."""
+    import drjit as dr
+
+    return divided(mi, dr.arange(mi.UInt32, count * size), size)
+
+
+def divided(mi: Any, number: Any, size: int) -> tuple[Any, Any]:
+    """UInt32 quotients and remainders of UInt32 numbers by ``size``."""
+    import drjit as dr
+
+    # A half is further from whole numbers than float64 rounds: exact. Vectors of integers cannot be divided on a
+    # processor but one after the other, which took a tenth of the time of the rays.
+    quotient = mi.UInt32((mi.Float64(number) + 0.5) * dr.opaque(mi.Float64, 1.0 / size))
+    return quotient, number - quotient * dr.opaque(mi.UInt32, size)
 
 
 def upload_vectors(mi: Any, vectors: NDArray) -> Callable[[Any], Any]:

@@ -23,10 +23,10 @@ from slepian_prt.transport.directions import QUARTERS, DirectionSet
 from slepian_prt.transport.visibility import VisibilitySamples, disagreements
 
 # The constant harmonic's coefficient times this is the part of the hemisphere.
-_MEAN = np.float32(math.sqrt(4.0 * math.pi))
+MEAN = np.float32(math.sqrt(4.0 * math.pi))
 
 # No part of the hemisphere is known to less than this, and none is scaled by more than that.
-_LEAST, _MOST = 1e-6, 0.5
+LEAST, MOST = 1e-6, 0.5
 
 
 class OcclusionTables:
@@ -41,18 +41,27 @@ class OcclusionTables:
     Attributes
     ----------
     nodes, corners : (…, (L+1)²) float32
-        The tables.
+        The tables of `DirectionSet.tables`.
+    sky : ((L+1)²,) float32
+        What all nodes make together.
+    turns : (n,)
+        What each node adds to how often outlines turn, where it is blocked.
+    triangles : (T, 3)
+    edges : list of two (3 T,)
+        Those from corner k of triangle t, at 3 t + k, to corners k + 1 and k + 2.
+    run_towards : list of two (3 T,) bool
+        Whether they run towards it.
     """
 
     def __init__(self, directions: DirectionSet, bandlimit: int) -> None:
         self.nodes, self.corners = directions.tables(bandlimit)
-        self._sky = self.nodes.sum(axis=0, dtype=np.float64).astype(np.float32)
-        self._triangles = directions.triangles
-        self._with_turns = np.column_stack([self.nodes, _turns_at_nodes(directions)]).astype(np.float32)
+        self.sky = self.nodes.sum(axis=0, dtype=np.float64).astype(np.float32)
+        self.triangles = directions.triangles
+        self.turns = _turns_at_nodes(directions)
+        self._with_turns = np.column_stack([self.nodes, self.turns]).astype(np.float32)
         sides, ends = directions.triangle_edges, directions.triangles
-        # For corner k of triangle t, at 3 t + k: its edges to corners k + 1 and k + 2, and whether they run towards it.
-        self._edges = [sides.ravel(), np.roll(sides, 1, axis=1).ravel()]
-        self._run_towards = [directions.edges[edge, 0] != ends.ravel() for edge in self._edges]
+        self.edges = [sides.ravel(), np.roll(sides, 1, axis=1).ravel()]
+        self.run_towards = [directions.edges[edge, 0] != ends.ravel() for edge in self.edges]
 
     def open(self, samples: VisibilitySamples) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(1/π) ∫ V (n·ω)₊ y_lm dω, (n, (L+1)²), in the world frame, and (n,) the blocked part of each hemisphere.
@@ -61,8 +70,8 @@ class OcclusionTables:
         """
         local = self.blocked_in_frames(samples)
         closed = np.all(samples.blocked, axis=0)
-        part = np.where(closed, np.float32(1.0), local[:, 0] * _MEAN)
-        np.subtract(self._sky, local, out=local)  # before the rotation, where it is one vector for all
+        part = np.where(closed, np.float32(1.0), local[:, 0] * MEAN)
+        np.subtract(self.sky, local, out=local)  # before the rotation, where it is one vector for all
         local[closed] = 0.0
         return rotate_sh(local, samples.frames), part
 
@@ -85,25 +94,25 @@ class OcclusionTables:
         In degrees 0 and 1 alone, which hardly tell a region's rim from its middle: those of radiance under smooth light
         gain 5 to 9 % of accuracy, and higher ones would lose.
         """
-        lost = turns / (2.0 * len(self._triangles))
-        closed = local[:, 0] * _MEAN
-        wider = np.clip(lost / np.maximum(closed, _LEAST), 0.0, _MOST)
-        narrower = np.clip(-lost / np.maximum(1.0 - closed, _LEAST), 0.0, _MOST)
+        lost = turns / (2.0 * len(self.triangles))
+        closed = local[:, 0] * MEAN
+        wider = np.clip(lost / np.maximum(closed, LEAST), 0.0, MOST)
+        narrower = np.clip(-lost / np.maximum(1.0 - closed, LEAST), 0.0, MOST)
         low = local[:, :4]
         low *= (1.0 + wider + narrower).astype(np.float32)[:, None]
-        low -= narrower.astype(np.float32)[:, None] * self._sky[:4]
+        low -= narrower.astype(np.float32)[:, None] * self.sky[:4]
 
     def _cut_triangles(self, blocked: NDArray[np.bool_], quarter: NDArray[np.uint8]) -> csc_array:
         """Rows of the table of corners that each receiver adds or subtracts: (n, 48 T), entries 1 and -1.
 
         By columns, so that a product reads the table once: it is larger than caches, what it is added to is not.
         """
-        triangle, place = disagreements(blocked, self._triangles)
-        a, b, c = (blocked[self._triangles[triangle, k], place] for k in range(3))
+        triangle, place = disagreements(blocked, self.triangles)
+        a, b, c = (blocked[self.triangles[triangle, k], place] for k in range(3))
         lone = np.where(b == c, 0, np.where(a == c, 1, 2))  # the corner that disagrees with the other two
         corner = 3 * triangle + lone
         row = corner
-        for edge, towards in zip(self._edges, self._run_towards, strict=True):
+        for edge, towards in zip(self.edges, self.run_towards, strict=True):
             # Quarters count from the edge's first node; here from the corner.
             counted = quarter[edge[corner], place] ^ np.where(towards[corner], QUARTERS - 1, 0)
             row = row * QUARTERS + counted

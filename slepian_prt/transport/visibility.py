@@ -20,9 +20,9 @@ _PRODUCTS = 1 << 17
 # Sizes of direction sets from one to twice that.
 SIZES_PER_OCTAVE = 16
 
-# Open directions of a receiver that are few enough to be leaks, and how far beside them to look again, in radians.
-_LEAKS = 3
-_BESIDE = 1e-3
+# Open directions of a receiver that are few enough to be leaks, and the rotation, of a thousandth, to beside them.
+LEAKS = 3
+BESIDE = turned_frames(np.array([[0.0, 0.0, 1.0]]), np.array([1e-3]))[0]
 
 
 def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
@@ -150,18 +150,12 @@ class VisibilityTracer(HemisphereRays):
         self, rays: Callable[[Any, Any], Any], edge: NDArray, place: NDArray, begin: NDArray[np.bool_]
     ) -> NDArray[np.integer]:
         """In which quarters of edges of receivers visibility changes, if it is ``begin`` at their first nodes."""
-        import drjit as dr
-
         mi = self.mi
         lane, first = (
             mi.UInt32(place.astype(np.uint32)),
             mi.UInt32(self.directions.along_edge(edge, 1).astype(np.uint32)),
         )
-        as_at_begin = mi.Bool(begin)
-        # Both halvings in one kernel: what the second needs is in registers.
-        second_half = self.geometry.ray_test(rays(lane, first + 1)) == as_at_begin
-        last_quarter = self.geometry.ray_test(rays(lane, dr.select(second_half, first + 2, first))) == as_at_begin
-        return np.array(dr.select(second_half, mi.UInt32(2), 0) + dr.select(last_quarter, mi.UInt32(1), 0))
+        return np.array(bisected(mi, self.geometry, rays, lane, first, mi.Bool(begin)))
 
     def _close_leaks(self, vertices: NDArray, frames: NDArray, blocked: NDArray[np.bool_]) -> None:
         """Look again, beside them, at the last open directions of receivers that see almost nothing of the sky.
@@ -170,12 +164,35 @@ class VisibilityTracer(HemisphereRays):
         same.
         """
         closed = blocked.view(np.uint8).sum(axis=0, dtype=np.uint32)
-        few_open = np.flatnonzero(closed + _LEAKS >= self.directions.size)
+        few_open = np.flatnonzero(closed + LEAKS >= self.directions.size)
         node, which = np.nonzero(~blocked[:, few_open])
         if node.size == 0:
             return
         place = few_open[which]
-        beside = turned_frames(np.array([[0.0, 0.0, 1.0]]), np.array([_BESIDE]))[0]
-        rays = self.rays_from(vertices, frames @ beside)
+        rays = self.rays_from(vertices, frames @ BESIDE)
         ray = rays(self.mi.UInt32(place.astype(np.uint32)), self.mi.UInt32(node.astype(np.uint32)))
         blocked[node, place] = np.array(self.geometry.ray_test(ray))
+
+
+def bisected(mi: Any, geometry: Any, rays: Callable[[Any, Any], Any], place: Any, first: Any, as_at_begin: Any) -> Any:
+    """UInt32, in which quarters of edges visibility changes.
+
+    Parameters
+    ----------
+    mi : Mitsuba
+    geometry : Mitsuba scene
+    rays : callable
+        Gives rays for places of receivers and directions of the set.
+    place : UInt32
+        Of the receivers.
+    first : UInt32
+        The directions a quarter along their edges; those of half and three quarters follow.
+    as_at_begin : Bool
+        Whether the first ends are blocked.
+    """
+    import drjit as dr
+
+    # Both halvings in one kernel: what the second needs is in registers.
+    second_half = geometry.ray_test(rays(place, first + 1)) == as_at_begin
+    last_quarter = geometry.ray_test(rays(place, dr.select(second_half, first + 2, first))) == as_at_begin
+    return dr.select(second_half, mi.UInt32(2), 0) + dr.select(last_quarter, mi.UInt32(1), 0)

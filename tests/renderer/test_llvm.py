@@ -5,7 +5,7 @@ import pytest
 
 from slepian_prt.cli.machine import examine
 from slepian_prt.renderer import llvm
-from slepian_prt.renderer.variants import usable_variant
+from slepian_prt.renderer.variants import _usable
 
 
 @pytest.fixture
@@ -31,8 +31,8 @@ def test_a_library_that_kills_the_process_is_survived(memory, tmp_path, monkeypa
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     path, tried = llvm.find()
     assert path is None
-    usable_variant.cache_clear()
-    request.addfinalizer(usable_variant.cache_clear)
+    _usable.cache_clear()
+    request.addfinalizer(_usable.cache_clear)
     assert "kills the process" in tried[0].failure
     findings = {f.subject: f for f in examine() if not f.ok}
     assert "kills the process" in findings["LLVM"].value

@@ -86,7 +86,8 @@ class BoundTransfer:
         Raises
         ------
         UserError
-            As `match_shapes`; or transfer toward a camera in a model that is turned.
+            As `match_shapes`; transfer toward a camera in a model that is turned; or, under CUDA, shapes that are found
+            by their places in a scene without triangles.
         """
         objects = [*scene.shapes(), *scene.emitters()]
         same = self._matched is not None and [one.ptr for one in objects] == [one.ptr for one in self._objects]
@@ -96,7 +97,12 @@ class BoundTransfer:
         turn = matched.placement.rotation.T
         if self.packed.toward_view and np.abs(turn - np.eye(3)).max() > 1e-4:
             raise UserError(f"{self.name}: holds transfer toward a camera, so its shapes cannot be turned")
-        surfaces = Surfaces(self._mi, matched, self.packed.mesh)
+        if matched.by_place and self._mi.variant().startswith("cuda_") and not _has_triangles(scene):
+            raise UserError(
+                f"{self.name}: its shapes are found by their places, for which OptiX needs a mesh in the scene, and "
+                "there are round shapes alone: add a mesh, or draw in llvm_ad_rgb"
+            )
+        surfaces = Surfaces(self._mi, matched, self.packed.mesh, scene)
         self._vertex_radiance = VertexRadiance(self._mi, self.packed, turn, self._damping, self._lighting)
         self._bounced = BouncedLight(self._mi, self.packed.fixed, scene, self._fixed_lights, self._lamps)
         self._matched, self._surfaces, self._objects = matched, surfaces, objects
@@ -223,3 +229,8 @@ class BoundTransfer:
         size = float(np.linalg.norm(np.ptp(self.packed.mesh.positions, axis=0)))
         if dr.any(active & (dr.norm(dr.cross(eye - ray.o, ray.d)) > 1e-3 * size)):
             raise UserError(f"{self.name}: holds transfer toward camera '{view.name}' alone; look from there")
+
+
+def _has_triangles(scene: Any) -> bool:
+    """Whether OptiX traces triangles in a Mitsuba scene; groups that instances stand for may have some."""
+    return any(shape.is_mesh() or shape.class_name() == "Instance" for shape in scene.shapes())

@@ -18,10 +18,29 @@ from slepian_prt.lighting.emitters import (
 )
 from slepian_prt.lighting.sky import is_sky, sky_quadrature
 from slepian_prt.lighting.texel_projection import TexelProjection
+from slepian_prt.relighting.mitsuba.device_envmap import DeviceEnvmap
 from slepian_prt.relighting.mitsuba.linear_op import linear_op
 
 
-def distant_light(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> Any:
+class EnvmapTables:
+    """The last map that was projected on the device, so that one whose texels change is not prepared again."""
+
+    def __init__(self) -> None:
+        self._key: tuple[Any, ...] = ()
+        self._map: Any = None
+
+    def of(self, mi: Any, projection: TexelProjection, mirrored: bool) -> DeviceEnvmap:
+        """What projects such a map."""
+        shape = projection.height, projection.width, projection.bandlimit
+        key = (mi.variant(), mirrored, *shape, projection.to_world.tobytes())
+        if key != self._key:
+            self._key, self._map = key, DeviceEnvmap(mi, projection, mirrored=mirrored)
+        return self._map
+
+
+def distant_light(
+    mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64], tables: EnvmapTables | None = None
+) -> Any:
     """Coefficients of an environment emitter's radiance, 3 (L+1)² of them, red, green and blue one after the other.
 
     Parameters
@@ -31,6 +50,8 @@ def distant_light(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float6
     bandlimit : int
     turn : (3, 3)
         Rotation of the light.
+    tables : EnvmapTables, optional
+        With it, texels of an ``envmap`` are projected where they are, by Dr.Jit; without, by NumPy.
 
     Raises
     ------
@@ -40,11 +61,13 @@ def distant_light(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float6
     if is_sky(emitter):
         return _project_sky(mi, emitter, bandlimit, turn)
     if is_envmap(emitter) and not mi.is_spectral:
-        return _project_texels(mi, emitter, bandlimit, turn)
+        return _project_texels(mi, emitter, bandlimit, turn, tables)
     return _project_samples(mi, emitter, bandlimit, turn)
 
 
-def _project_texels(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64]) -> Any:
+def _project_texels(
+    mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.float64], tables: EnvmapTables | None
+) -> Any:
     """Of an ``envmap``; gradients go to its texels and its scale."""
     import drjit as dr
 
@@ -53,6 +76,8 @@ def _project_texels(mi: Any, emitter: Any, bandlimit: int, turn: NDArray[np.floa
     height, stored_width, channels = data.shape
     mirrored, world = envmap_rotation(parameters["to_world"], "envmap")
     projection = TexelProjection(height, stored_width - 2, bandlimit, turn @ world)
+    if tables is not None:
+        return tables.of(mi, projection, mirrored).light(data) * dr.ravel(mi.Float(parameters["scale"]))
     columns = slice(None, None, -1 if mirrored else 1)
 
     def project(texels: NDArray) -> NDArray:

@@ -48,9 +48,11 @@ class Surfaces:
     matched : MatchedShapes
     mesh : Mesh
         Of the file.
+    scene : Mitsuba scene
+        What rays meet it in, by whose side the triangles are traced.
     """
 
-    def __init__(self, mi: Any, matched: MatchedShapes, mesh: Mesh) -> None:
+    def __init__(self, mi: Any, matched: MatchedShapes, mesh: Mesh, scene: Any) -> None:
         self._mi = mi
         # Faces are those of matched meshes as Mitsuba numbers them, one mesh after the other, then those by place.
         faces = [one.faces for one in matched.meshes]
@@ -59,7 +61,7 @@ class Surfaces:
         self._first_face = _by_shape(mi, [one.shape for one in matched.meshes], ends[:-1])
         self._placed: PlacedSurfaces | None = None
         if matched.by_place:
-            self._placed = PlacedSurfaces(mi, matched.by_place, matched.positions, mesh, int(ends[-1]))
+            self._placed = PlacedSurfaces(mi, matched.by_place, matched.positions, mesh, int(ends[-1]), scene)
             faces += [part_faces(mesh.faces, one.part).astype(np.int64) for one in matched.by_place]
             parts += [one.part for one in matched.by_place]
         corners = np.concatenate(faces).astype(np.uint32)
@@ -130,16 +132,18 @@ class PlacedSurfaces:
         Of the file.
     first : int
         Number of the first of their faces.
+    scene : Mitsuba scene
+        That is traced in the same kernels.
     """
 
     def __init__(
-        self, mi: Any, placed: Sequence[PlacedPart], positions: NDArray[np.float64], mesh: Mesh, first: int
+        self, mi: Any, placed: Sequence[PlacedPart], positions: NDArray[np.float64], mesh: Mesh, first: int, scene: Any
     ) -> None:
         self._mi, self._first = mi, first
         # From one surface to what may be the next: beyond what rounding moves it.
         self._step = 4.0 * float(np.spacing(np.float32(np.abs(positions).max(initial=0.0))))
         faces = [part_faces(mesh.faces, one.part) for one in placed]
-        self._scene = _triangle_scene(mi, positions, np.concatenate(faces))
+        self._scene = triangle_scene(mi, positions, np.concatenate(faces), scene)
         # Parts by face, and reaches by part; a shape that is known has no other part.
         self._part_of = mi.Int32(np.repeat(np.arange(len(placed)), [len(some) for some in faces]).astype(np.int32))
         self._reach = mi.Float(np.array([one.reach for one in placed], dtype=np.float32))
@@ -206,8 +210,12 @@ def _of_shape(mi: Any, table: Any, shape: Any, active: Any) -> Any:
     return dr.select(known, dr.gather(mi.Int32, table, number, known), -1)
 
 
-def _triangle_scene(mi: Any, positions: NDArray, faces: NDArray) -> Any:
-    """A Mitsuba scene of nothing but triangles."""
+def triangle_scene(mi: Any, positions: NDArray, faces: NDArray, beside: Any) -> Any:
+    """A Mitsuba scene of nothing but triangles, to be traced in kernels that trace another scene too.
+
+    OptiX allows a kernel one pipeline and one binding table, which the scene takes over from the one ``beside`` that it
+    is given (and does not keep); of that, it must then have the same settings.
+    """
     mesh = mi.Mesh("transfer", len(positions), len(faces))
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = mi.Float(positions.astype(np.float32).ravel())
@@ -215,4 +223,10 @@ def _triangle_scene(mi: Any, positions: NDArray, faces: NDArray) -> Any:
     parameters.update()
     # In Embree's robust mode no ray slips between two triangles.
     robust = {"embree_use_robust_intersections": True} if mi.variant().startswith("llvm_") else {}
-    return mi.load_dict({"type": "scene", "mesh": mesh, **robust})
+    content = {"type": "scene", "mesh": mesh, "beside": beside, **robust}
+    try:
+        return mi.load_dict(content)
+    except RuntimeError as error:
+        if "compact_acceleration_structures" not in str(error):
+            raise
+        return mi.load_dict({**content, "compact_acceleration_structures": True})

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.relighting.mitsuba.emission import distant_light
+from slepian_prt.relighting.mitsuba.device_operator import DeviceOperator
+from slepian_prt.relighting.mitsuba.emission import EnvmapTables, distant_light
 from slepian_prt.relighting.mitsuba.linear_op import linear_op
 from slepian_prt.relighting.operator import transfer_operator
-from slepian_prt.relighting.relight import negative_fraction
+from slepian_prt.relighting.relight import NOISE, negative_fraction
 from slepian_prt.sphere.harmonics import degrees
 
 
@@ -28,6 +29,9 @@ class VertexRadiance:
         Factor of each degree of the light.
     lighting : (3, (L+1)²), optional
         Light in the world of the file, in place of that of emitters.
+    on_device : bool, optional
+        Whether all of it is made by Dr.Jit, where the arrays are. By default under CUDA; processors are quicker with
+        NumPy's products.
 
     Attributes
     ----------
@@ -42,16 +46,21 @@ class VertexRadiance:
         turn: NDArray[np.float64],
         damping: NDArray[np.float64],
         lighting: NDArray[np.float64] | None = None,
+        *,
+        on_device: bool | None = None,
     ) -> None:
         self._mi, self._packed, self._turn = mi, packed, turn
         self._damping = np.tile(damping[degrees(packed.bandlimit)], 3).astype(np.float32)
+        self._on_device = mi.variant().startswith("cuda_") if on_device is None else on_device
+        self._operator: DeviceOperator | None = None
+        self._tables = EnvmapTables() if self._on_device else None
         self.negative = 0.0
         self._last_emitter: dict[str, Any] | None = None
         self._last_radiance: Any = None
         self._of_lighting: Any = None
         if lighting is not None:
             self._of_lighting = self._relight(mi.Float(lighting.astype(np.float32).ravel()))
-            self.negative = negative_fraction(np.array(self._of_lighting).reshape(-1, 3))
+            self.negative = self._negative_fraction(self._of_lighting)
 
     def under(self, emitter: Any) -> Any:
         """(3 V,) flat Float; what was computed last if the emitter is as it was then. Without emitter, zeros."""
@@ -65,14 +74,28 @@ class VertexRadiance:
         state = _parameters(mi, emitter)
         if self._last_emitter is not None and _unchanged(self._last_emitter, state):
             return self._last_radiance
-        radiance = self._relight(distant_light(mi, emitter, self._packed.bandlimit, self._turn))
+        radiance = self._relight(distant_light(mi, emitter, self._packed.bandlimit, self._turn, self._tables))
         if not dr.grad_enabled(radiance):
             self._last_emitter, self._last_radiance = state, radiance
-            self.negative = negative_fraction(np.array(radiance).reshape(-1, 3))
+            self.negative = self._negative_fraction(radiance)
         return radiance
 
+    def _negative_fraction(self, radiance: Any) -> float:
+        """`negative_fraction` of flat radiance."""
+        import drjit as dr
+
+        if not self._on_device:
+            return negative_fraction(np.array(radiance).reshape(-1, 3))
+        lowest = dr.min(dr.unravel(self._mi.Vector3f, radiance))
+        below: Any = dr.mean(dr.select(lowest < -NOISE * dr.maximum(dr.max(radiance), 0.0), 1.0, 0.0))
+        return float(below[0])
+
     def _relight(self, light: Any) -> Any:
-        operator = transfer_operator(self._packed)
+        operator, damping = transfer_operator(self._packed), self._mi.Float(self._damping)
+        if self._on_device:
+            if self._operator is None:
+                self._operator = DeviceOperator(self._mi, operator)
+            return self._operator.radiance(light * damping)
 
         def apply(lighting: NDArray) -> NDArray:
             return operator.apply(lighting.reshape(1, 3, -1))[0]
@@ -80,7 +103,7 @@ class VertexRadiance:
         def adjoint(gradient: NDArray) -> NDArray:
             return operator.adjoint(gradient.reshape(1, -1, 3))[0]
 
-        return linear_op(apply, adjoint, light * self._mi.Float(self._damping), self._mi.Float)
+        return linear_op(apply, adjoint, light * damping, self._mi.Float)
 
 
 def _parameters(mi: Any, emitter: Any) -> dict[str, Any]:
@@ -109,4 +132,4 @@ def _same(old: Any, new: Any) -> bool:
         return False
     a, b = (x.array if dr.is_tensor_v(x) else x for x in (old, new))
     # Equal indices are the same array in memory; others are compared, which is still faster than relighting.
-    return getattr(a, "index", -1) == getattr(b, "index", -2) or np.array_equal(np.array(a), np.array(b))
+    return getattr(a, "index", -1) == getattr(b, "index", -2) or bool(np.all(np.array(dr.all(a == b, axis=None))))
