@@ -13,10 +13,12 @@ from slepian_prt.compression import truncation
 from slepian_prt.compression.bases import Candidate
 from slepian_prt.compression.blocks import CapBlocks, ProjectedCaps, pieces_of
 from slepian_prt.compression.checkpoint import Block, BlockStatistics, MemoryStore, Store
+from slepian_prt.compression.device_projection import can_project_on_device, project_on_device
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import decorrelate
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
+from slepian_prt.transport.device.projection import DeviceBlock
 from slepian_prt.transport.estimator import TransferBlock
 
 # Functions that are coded may leave out this part of the squared tolerance, by prediction; rounding gets the rest.
@@ -56,7 +58,9 @@ class Projection:
         return 2.0 * self.bases[0].count * (self.learned.bandlimit + 1) + 32.0 * len(self.bases) + _HEADERS
 
     def block(self, traced: TransferBlock) -> Block:
-        """Project a block of transfer vectors."""
+        """Project a block of transfer vectors, on the device that they are on."""
+        if isinstance(traced, DeviceBlock) and can_project_on_device(self):
+            return project_on_device(self, traced)
         clusters = self.learned.clusters
         order = np.argsort(clusters.index[traced.vertices], kind="stable")
         vertices = traced.vertices[order]
