@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from slepian_prt.accuracy.trials import Choice
     from slepian_prt.accuracy.verify import Verification
     from slepian_prt.compression.settings import CompressionSettings
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.transport.settings import TransportSettings
 
 
@@ -25,6 +26,7 @@ def precompute_toward(
     light: Light,
     settings: CompressionSettings,
     transport: TransportSettings,
+    crew: Crew | None,
     started: float,
     *,
     keep_order: bool,
@@ -44,6 +46,7 @@ def precompute_toward(
             on_choice=_print_choices,
             advance=advance,
             report=report,
+            crew=crew,
         )
     print_verification(found.verification, goal)
     found.packed.save(output, keep_order=keep_order or found.packed.vertex_count <= KEPT_ORDER)

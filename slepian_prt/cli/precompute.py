@@ -11,25 +11,22 @@ import click
 from click.core import ParameterSource
 
 from slepian_prt.cli.messages import note, say
-from slepian_prt.cli.options import (
-    clamp_option,
-    environment_option,
-    grouping_options,
-    output_option,
-    together,
-    transport_options,
-)
+from slepian_prt.cli.options import crew_options, grouping_options, output_option, transport_options
+from slepian_prt.cli.precompute_options import compression_options, goal_options, keep_order_option
 from slepian_prt.cli.scans import into_folder, precompute_scans, set_options
-from slepian_prt.cli.values import Names, read_light, settings_of
+from slepian_prt.cli.values import read_light, settings_of
 from slepian_prt.cli.variant import variant_option
+from slepian_prt.cli.workers import crew_of
 from slepian_prt.errors import UserError
 from slepian_prt.files import KEPT_ORDER
 
 if TYPE_CHECKING:
     from slepian_prt.compression.settings import CompressionSettings
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.transport.settings import TransportSettings
 
 _GIVEN = ParameterSource.COMMANDLINE
+
 
 @click.command()
 @click.argument("scenes", nargs=-1, type=click.Path(), metavar="SCENE...")
@@ -40,6 +37,7 @@ _GIVEN = ParameterSource.COMMANDLINE
 @compression_options
 @keep_order_option
 @grouping_options
+@crew_options
 @variant_option
 @click.pass_context
 def precompute(
@@ -66,6 +64,9 @@ def precompute(
 
     With --max-error or --max-seconds, rays, bandlimit and tolerance are chosen from a pilot, unless they are given, and
     what came of it is verified on vertices held out.
+
+    With --workers or --scheduler, blocks of vertices, or the scenes of a folder, are shared among processes and
+    machines; the files are the same.
     """
     from slepian_prt.accuracy.goal import Goal
     from slepian_prt.compression.settings import CompressionSettings
@@ -96,14 +97,15 @@ def precompute(
 
         kept_order = sys.maxsize if keep_order else KEPT_ORDER
         asked = ScanSettings(formats or ("prt",), transport, settings, goal, light, kept_order, given.get("samples"))
-        return precompute_scans(scenes, listed, output, asked, as_json=as_json)
-    if goal is None:
-        _precompute(scenes[0], output, settings, transport, keep_order=keep_order)
-    else:
-        from slepian_prt.cli.goal import precompute_toward
+        with crew_of(options) as crew:
+            return precompute_scans(scenes, listed, output, asked, as_json=as_json, crew=crew)
+    with crew_of(options) as crew:
+        if goal is None or light is None:
+            _precompute(scenes[0], output, settings, transport, crew, keep_order=keep_order)
+        else:
+            from slepian_prt.cli.goal import precompute_toward
 
-        assert light is not None
-        precompute_toward(scenes[0], output, goal, light, settings, transport, started, keep_order=keep_order)
+            precompute_toward(scenes[0], output, goal, light, settings, transport, crew, started, keep_order=keep_order)
     return 0
 
 
@@ -119,7 +121,13 @@ def _check_one(scene: str, output: str, as_json: bool) -> None:
 
 
 def _precompute(
-    scene: str, output: str, settings: CompressionSettings, transport: TransportSettings, *, keep_order: bool
+    scene: str,
+    output: str,
+    settings: CompressionSettings,
+    transport: TransportSettings,
+    crew: Crew | None,
+    *,
+    keep_order: bool,
 ) -> None:
     """As asked for."""
     from slepian_prt.cli.terminal import describe, print_plan, progress
@@ -127,7 +135,9 @@ def _precompute(
     from slepian_prt.compression.stream import precompute_compressed
 
     with progress("transport", "vertices") as (advance, report):
-        packed = precompute_compressed(scene, settings, transport, on_plan=print_plan, advance=advance, report=report)
+        packed = precompute_compressed(
+            scene, settings, transport, on_plan=print_plan, advance=advance, report=report, crew=crew
+        )
     if transport.bounces is not None and packed.bounces < transport.bounces:
         note(f"`bounces={transport.bounces}` has no effect: no light between surfaces is simulated (see the plan)")
     packed.save(output, keep_order=keep_order or packed.vertex_count <= KEPT_ORDER)

@@ -19,6 +19,7 @@ from slepian_prt.cli.terminal import progress
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.datasets.jobs import ScanResult, ScanSettings
 
 set_options = together(
@@ -53,9 +54,16 @@ def into_folder(scenes: Sequence[str], listed: str | None, formats: Sequence[str
 
 
 def precompute_scans(
-    scenes: Sequence[str], listed: str | None, folder: str, settings: ScanSettings, *, as_json: bool
+    scenes: Sequence[str],
+    listed: str | None,
+    folder: str,
+    settings: ScanSettings,
+    *,
+    as_json: bool,
+    crew: Crew | None,
 ) -> int:
     """Tell of each scene when it is done, and at the end of those that failed; 1 if there are any."""
+    from slepian_prt.datasets.by_workers import mapped_by
     from slepian_prt.datasets.naming import read_list
     from slepian_prt.datasets.precompute_set import run_set
     from slepian_prt.datasets.records import NAME
@@ -75,7 +83,7 @@ def precompute_scans(
             advance(1, count)
 
         try:
-            results = run_set(wanted, folder, settings, tell)
+            results = run_set(wanted, folder, settings, tell, map if crew is None else mapped_by(crew))
         except KeyboardInterrupt:
             click.echo(f"slepian-prt: interrupted; the same command goes on from what is in {folder}", err=True)
             return 130

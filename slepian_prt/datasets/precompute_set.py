@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.datasets.by_workers import mapped_by
 from slepian_prt.datasets.fingerprint import settings_digest
 from slepian_prt.datasets.jobs import FORMATS, ScanJob, ScanResult, ScanSettings
 from slepian_prt.datasets.naming import name_scans
 from slepian_prt.datasets.records import open_records
 from slepian_prt.datasets.scan import precompute_scan
+from slepian_prt.distributed.crew import crew_or_none
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_folder
 from slepian_prt.transport.settings import TransportSettings
@@ -26,7 +28,7 @@ def precompute_set(
     *,
     formats: str | Sequence[str] = "prt",
     on_result: Callable[[ScanResult], None] = lambda _: None,
-    mapped: Mapped = map,
+    client: Any = None,
     **settings: Any,
 ) -> list[ScanResult]:
     """Transfer of many scenes, each written into a folder; what is there already is not done again.
@@ -46,9 +48,8 @@ def precompute_set(
         the order of the file.
     on_result : callable
         Given each result when it is there.
-    mapped : callable
-        Calls a function for each of some jobs, both of which can be pickled, and gives the results in any order, as
-        ``map`` does here and those of pools and clusters do elsewhere.
+    client : distributed.Client, or what `open_crew` takes as one, optional
+        Dask workers that do a scene each; they must see the same folders.
     **settings
         As of `precompute` and `compress`: ``bandlimit``, ``tolerance``, …. Where ``samples`` is given it counts for all
         formats; ``bandlimit``, ``effects`` and compression count for ``prt``.
@@ -75,7 +76,8 @@ def precompute_set(
         compression=CompressionSettings(**{name: value for name, value in settings.items() if name in compression}),
         samples=settings.get("samples"),
     )
-    return run_set(list(scenes), folder, asked, on_result, mapped)
+    with crew_or_none(client) as crew:
+        return run_set(list(scenes), folder, asked, on_result, map if crew is None else mapped_by(crew))
 
 
 def run_set(
@@ -85,7 +87,10 @@ def run_set(
     on_result: Callable[[ScanResult], None] = lambda _: None,
     mapped: Mapped = map,
 ) -> list[ScanResult]:
-    """As `precompute_set`."""
+    """As `precompute_set`.
+
+    ``mapped`` calls a function for each of some jobs, and gives the results in any order, as ``map`` does.
+    """
     _check(scenes, settings)
     check_folder(folder)
     names, asked = name_scans(scenes), settings_digest(settings)
