@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import ssl
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 from slepian_prt.distributed.local_cluster import local_cluster
 from slepian_prt.distributed.quiet import quiet
 from slepian_prt.errors import UserError, check_integer
+from slepian_prt.files import check_readable
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Security
 
 # Seconds until a scheduler has to have answered.
 _PATIENCE = 10.0
@@ -90,6 +92,34 @@ def read_scheduler_file(path: str | Path) -> str:
     if not isinstance(address, str) or not address:
         raise UserError(f"{path}: holds no address of a scheduler; {remedy}")
     return address
+
+
+def make_security(ca_file: str | None, cert: str | None, key: str | None) -> Security | None:
+    """Certificates of all roles, for Dask; None if there are none, where Dask's own configuration decides.
+
+    Raises
+    ------
+    UserError
+        A file that is missing or holds no certificate, or one of them without the others.
+    """
+    if ca_file is None and cert is None and key is None:
+        return None
+    if ca_file is None or cert is None:
+        raise UserError("TLS needs a certificate and its authority; give `tls_ca_file` and `tls_cert`")
+    dask = dask_distributed()
+    for path in filter(None, (ca_file, cert, key)):
+        check_readable(path, "a .pem file")
+    roles = ("client", "scheduler", "worker")
+    of_roles = {f"tls_{role}_{kind}": path for role in roles for kind, path in (("cert", cert), ("key", key))}
+    security = dask.Security(tls_ca_file=ca_file, require_encryption=True, **of_roles)
+    try:
+        security.get_connection_args("client")
+    except (ssl.SSLError, OSError, ValueError) as error:
+        raise UserError(
+            f"{', '.join(filter(None, (ca_file, cert, key)))}: cannot be used for TLS ({_short(error)}); give .pem "
+            "files that belong together"
+        ) from None
+    return security
 
 
 def _connect(dask: ModuleType, client: Any, address: str, security: Any) -> Client:

@@ -90,6 +90,16 @@ def open_crew(
         crew.disband()
 
 
+@contextmanager
+def crew_or_none(client: Any) -> Iterator[Crew | None]:
+    """The crew of what users give as ``client``, see `open_crew`; a crew as it is, and None for nothing."""
+    if client is None or isinstance(client, Crew):
+        yield client
+        return
+    with open_crew(client=client) as crew:
+        yield crew
+
+
 class Crew:
     """Workers that were found to have what is needed; `open_crew` makes it.
 
@@ -127,7 +137,7 @@ class Crew:
         digest : str, optional
             Of what it holds: the same is not brought again.
         """
-        shared = Shared(f"slepian_prt-shared-{digest or uuid.uuid4().hex}")
+        shared = Shared(f"{self._roster.name}-{digest or uuid.uuid4().hex}")
         if shared not in self._values:
             self._values[shared] = value
             self._bring(shared)
@@ -215,16 +225,18 @@ class Crew:
         """Let workers close and forget a value."""
         self._values.pop(shared, None)
         self._brought.pop(shared, None)
-        if self.client.status == "running":
-            self.client.run(forget, [shared.name], wait=False, workers=self._addresses(), on_error="ignore")
+        self._let_go(shared.name)
 
     def disband(self) -> None:
         """Leave nothing in the cluster."""
         if self.client.status == "running":
             self.client.sync(self._roster.dissolve)
             self.cancel(list(self._futures))
-            for shared in list(self._values):
-                self.release(shared)
+            self._let_go(self._roster.name)
+
+    def _let_go(self, prefix: str) -> None:
+        if self.client.status == "running" and (addresses := self._addresses()):
+            self.client.run(forget, prefix, wait=False, workers=addresses, on_error="ignore")
 
     def _addresses(self) -> list[str]:
         return self.client.sync(self._roster.addresses)

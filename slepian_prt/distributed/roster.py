@@ -37,6 +37,8 @@ class Roster:
 
     Attributes
     ----------
+    name : str
+        Which what is shared on these workers begins with.
     admission : Admission
     is_direct : bool
         Whether workers can be reached from here, or only the scheduler can.
@@ -51,7 +53,7 @@ class Roster:
         self.is_direct = True
         self.deaths = self.awaited = 0
         self._client, self._is_ours = client, is_ours
-        self._topic = f"slepian_prt-watch-{uuid.uuid4().hex}"
+        self.name = f"slepian_prt-{uuid.uuid4().hex}"
         self._chores: set[asyncio.Task[None]] = set()
         self._alone_since: float | None = None
 
@@ -66,8 +68,8 @@ class Roster:
         from slepian_prt.distributed.watch import Watch
 
         await self._check_scheduler()
-        self._client.subscribe_topic(self._topic, self._hear)
-        await self._client.register_plugin(Watch(self._topic, self._client.id))
+        self._client.subscribe_topic(self.name, self._hear)
+        await self._client.register_plugin(Watch(self.name, self._client.id))
         addresses = await self._first_workers()
         if refused := await self.admission.admit(addresses):
             raise UserError("; ".join(f"the worker {address} {why}" for address, why in refused.items()))
@@ -75,8 +77,8 @@ class Roster:
 
     async def dissolve(self) -> None:
         """Hear of nobody any more."""
-        self._client.unsubscribe_topic(self._topic)
-        await self._client.unregister_scheduler_plugin(self._topic)
+        self._client.unsubscribe_topic(self.name)
+        await self._client.unregister_scheduler_plugin(self.name)
 
     async def addresses(self) -> list[str]:
         """Of workers that are given work, now."""
