@@ -19,8 +19,8 @@ from slepian_prt.cli.terminal import progress
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
-    from slepian_prt.distributed.crew import Crew
     from slepian_prt.datasets.jobs import ScanResult, ScanSettings
+    from slepian_prt.distributed.crew import Crew
 
 set_options = together(
     click.option(
