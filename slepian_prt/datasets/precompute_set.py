@@ -116,8 +116,8 @@ def _check(scenes: Sequence[str | Path], settings: ScanSettings) -> None:
 
 def _check_owner(job: ScanJob) -> None:
     """Raise UserError if the outputs of a scan would take the place of those of another."""
-    before = job.before
-    if before is None or before.failure is not None or Path(before.source).absolute() == Path(job.source).absolute():
+    if job.before is None or job.before.failure is not None:
         return
-    if Path(before.source).is_file():
-        raise UserError(f"{job.folder}: {job.name} there is of {before.source}; choose another folder for {job.source}")
+    other, own = Path(job.before.source), Path(job.source)
+    if other.is_file() and not (own.is_file() and own.samefile(other)):
+        raise UserError(f"{job.folder}: {job.name} there is of {other}; choose another folder for {own}")
