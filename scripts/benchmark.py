@@ -7,6 +7,7 @@ import sys
 from benchmarks.accuracy import accuracy
 from benchmarks.all_views import all_views
 from benchmarks.compression import compression
+from benchmarks.datasets import datasets
 from benchmarks.files import files
 from benchmarks.page_files import page_files
 from benchmarks.page_pictures import page_pictures
@@ -28,6 +29,7 @@ BENCHMARKS = {
     "relighting": relighting,
     "runtime": runtime,
     "accuracy": accuracy,
+    "datasets": datasets,
     "paths": paths,
     "pages": pages,
     "page_files": page_files,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import shutil
 import tempfile
@@ -51,6 +52,13 @@ def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
     except OSError as error:
         raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
+        partial.unlink(missing_ok=True)
+
+
+def forget_partial(path: str | Path) -> None:
+    """Remove what processes left that were killed while they wrote `atomic_output`, if none may be writing now."""
+    path = Path(path)
+    for partial in path.parent.glob(f".{glob.escape(path.name)}.*.part"):
         partial.unlink(missing_ok=True)
 
 

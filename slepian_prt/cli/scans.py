@@ -112,13 +112,18 @@ def _tell(result: ScanResult) -> None:
     if result.failure is None:
         error = "" if result.error is None else f", error {result.error:.2g}"
         seconds = f"{result.seconds['all']:.2f} s"
-        say(f"{result.outputs[0]}: {result.vertices} vertices, {result.bytes} bytes{error}, {seconds}")
+        say(f"{_shown(result.outputs[0])}: {result.vertices} vertices, {result.bytes} bytes{error}, {seconds}")
     for text in result.notes:
-        note(f"{result.source}: {text}")
+        note(_shown(f"{result.source}: {text}"))
 
 
 def _tell_failures(failed: Sequence[ScanResult], count: int, records: Path) -> None:
     for result in failed[:_MOST_TOLD]:
-        click.echo(f"slepian-prt: {with_flags(str(result.failure))}", err=True)
+        click.echo(f"slepian-prt: {_shown(with_flags(str(result.failure)))}", err=True)
     if failed:
         click.echo(f"slepian-prt: {len(failed)} of {count} scenes failed; {records} says why", err=True)
+
+
+def _shown(text: str) -> str:
+    """Whatever names of files hold."""
+    return text.encode(errors="replace").decode()

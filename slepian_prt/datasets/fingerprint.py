@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from dataclasses import fields, is_dataclass
 from importlib.metadata import version
@@ -31,7 +32,7 @@ def fingerprint(source: str | Path, settings: str) -> str:
     """Of the digest of settings, and the content of a file and of all files that it names."""
     digest = hashlib.blake2b(settings.encode(), digest_size=16)
     for path in files_behind(Path(source)):
-        digest.update(f"\0{path.name}\0{digest_of(path)}".encode())
+        digest.update(b"\0".join([b"", os.fsencode(path.name), digest_of(path).encode()]))
     return digest.hexdigest()
 
 

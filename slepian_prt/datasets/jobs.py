@@ -93,7 +93,9 @@ class ScanResult:
         """One line of JSON: of a scan that failed what is known of it, of others all but the failure."""
         known = asdict(self)
         left_out = {"failure"} if self.failure is None else {"outputs", "error", "bytes", "vertices", "rays", "digests"}
-        return json.dumps({key: value for key, value in known.items() if key not in left_out}, ensure_ascii=False)
+        told = {key: value for key, value in known.items() if key not in left_out}
+        line = json.dumps(told, ensure_ascii=False)
+        return line if _is_text(line) else json.dumps(told)
 
     @classmethod
     def from_line(cls, line: str) -> ScanResult | None:
@@ -133,3 +135,12 @@ class ScanJob:
     settings: ScanSettings
     asked: str
     before: ScanResult | None = None
+
+
+def _is_text(line: str) -> bool:
+    """Whether it can be written in UTF-8: names of files need not be."""
+    try:
+        line.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -27,7 +27,7 @@ def read_list(path: str | Path) -> list[str]:
         check_readable(path, "a text file with a path on each line")
         raw, folder, name = Path(path).read_bytes(), Path(path).parent, str(path)
     try:
-        lines = [line.strip() for line in raw.decode("utf-8-sig").splitlines()]
+        lines = [line.strip() for line in raw.decode("utf-8-sig").split("\n")]
     except UnicodeDecodeError:
         raise UserError(f"{name}: is not UTF-8 text; write a path on each line") from None
     named = [str(folder / line) for line in lines if line and not line.startswith("#")]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from slepian_prt.datasets.jobs import FORMATS, ScanJob, ScanResult, ScanSettings
 from slepian_prt.datasets.naming import name_scans
 from slepian_prt.datasets.records import open_records
 from slepian_prt.datasets.scan import precompute_scan
+from slepian_prt.datasets.training_files import pifu_folder
 from slepian_prt.distributed.crew import crew_or_none
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_folder
@@ -94,6 +95,8 @@ def run_set(
     _check(scenes, settings)
     check_folder(folder)
     names, asked = name_scans(scenes), settings_digest(settings)
+    if "pifu" in settings.formats:
+        _check_folders(names)
     with open_records(Path(folder)) as records:
         jobs = [ScanJob(path, name, str(folder), settings, asked, records[name]) for path, name in names.items()]
         for job in jobs:
@@ -117,12 +120,24 @@ def _check(scenes: Sequence[str | Path], settings: ScanSettings) -> None:
     settings.compression.check(settings.transport.bandlimit)
     if settings.goal is not None:
         settings.goal.check()
+        if "prt" not in settings.formats:
+            raise UserError("`max_error` and `max_seconds` are about prt; leave them out, or add `formats=prt`")
+
+
+def _check_folders(names: Mapping[str, str]) -> None:
+    """Raise UserError if PIFu has one folder for two scans."""
+    owners: dict[str, str] = {}
+    for path, name in names.items():
+        folder = pifu_folder(name)
+        other = owners.setdefault(folder.casefold(), path)
+        if other != path:
+            raise UserError(f"{other} and {path} would both be in the folder {folder} of PIFu; rename one of the two")
 
 
 def _check_owner(job: ScanJob) -> None:
     """Raise UserError if the outputs of a scan would take the place of those of another."""
-    before = job.before
-    if before is None or before.failure is not None or Path(before.source).absolute() == Path(job.source).absolute():
+    if job.before is None or job.before.failure is not None:
         return
-    if Path(before.source).is_file():
-        raise UserError(f"{job.folder}: {job.name} there is of {before.source}; choose another folder for {job.source}")
+    other, own = Path(job.before.source), Path(job.source)
+    if other.is_file() and not (own.is_file() and own.samefile(other)):
+        raise UserError(f"{job.folder}: {job.name} there is of {other}; choose another folder for {own}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slepian_prt.datasets.jobs import ScanResult
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output
+from slepian_prt.files import atomic_output, forget_partial
 
 NAME = "results.jsonl"
 
@@ -25,7 +25,8 @@ class Records:
         self._path = folder / NAME
         text = self._path.read_bytes() if self._path.is_file() else b""
         self._is_torn = not text.endswith(b"\n") and text != b""
-        found = filter(None, map(ScanResult.from_line, text.decode(errors="replace").splitlines()))
+        lines = text.decode(errors="replace").split("\n")  # names may hold what splitlines() takes for ends of lines
+        found = filter(None, map(ScanResult.from_line, lines))
         self._results = {result.name: result for result in found}
 
     def __getitem__(self, name: str) -> ScanResult | None:
@@ -71,6 +72,7 @@ def open_records(folder: Path) -> Iterator[Records]:
     try:
         if held is not None:
             _lock(held, folder)
+        forget_partial(folder / NAME)
         yield Records(folder)
     finally:
         if held is not None:

@@ -21,7 +21,7 @@ from slepian_prt.datasets.obj_rows import read_rows
 from slepian_prt.datasets.order_two import trace_order_two
 from slepian_prt.datasets.training_files import icon_files, pifu_files
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output
+from slepian_prt.files import atomic_output, forget_partial
 from slepian_prt.transport.planned import Clock
 
 _TRAINING = {"pifu": pifu_files, "icon": icon_files}
@@ -77,6 +77,7 @@ def _write_prt(job: ScanJob, known: ScanResult) -> ScanResult:
     settings, output = job.settings, f"{job.name}.prt"
     packed = _compressed(job)
     clock = Clock(packed.seconds)
+    forget_partial(Path(job.folder) / output)
     packed.save(Path(job.folder) / output, keep_order=packed.vertex_count <= settings.kept_order)
     clock.stop("write")
     error = max(packed.verified.values()) if packed.verified else settings.compression.expected_error(packed.expected)
@@ -108,9 +109,7 @@ def _write_training(job: ScanJob, known: ScanResult) -> ScanResult:
     for name, made in _TRAINING.items():
         files |= made(job.name, traced.vectors, faces) if name in settings.formats else {}
     for path, content in files.items():
-        (Path(job.folder) / path).parent.mkdir(parents=True, exist_ok=True)
-        with atomic_output(Path(job.folder) / path) as file:
-            file.write(content)
+        _write(Path(job.folder) / path, content)
     clock.stop("write")
     return replace(
         known,
@@ -120,6 +119,16 @@ def _write_training(job: ScanJob, known: ScanResult) -> ScanResult:
         vertices=len(mesh.positions),
         rays=traced.rays,
     )
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{path.parent}: cannot be made ({error.strerror or error}); rename what is there") from None
+    forget_partial(path)
+    with atomic_output(path) as file:
+        file.write(content)
 
 
 def _added(seconds: dict[str, float], more: dict[str, float]) -> dict[str, float]:

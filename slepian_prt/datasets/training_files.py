@@ -43,11 +43,16 @@ def pifu_files(name: str, vectors: NDArray[np.float32], faces: NDArray[np.int64]
     ``apps/render_data.py`` looks for them in SUBJECT_OBJ beside SUBJECT_100k.obj; scans of other names have a folder of
     their name.
     """
-    folder = PurePosixPath(name.removesuffix(_SCAN) + _FOLDER if name.endswith(_SCAN) else name) / "bounce"
+    folder = PurePosixPath(pifu_folder(name)) / "bounce"
     return {
         str(folder / "bounce0.txt"): fixed_point(their_transfer(vectors)),
         str(folder / "face.npy"): as_npy(faces),
     }
+
+
+def pifu_folder(name: str) -> str:
+    """Of a scan."""
+    return name.removesuffix(_SCAN) + _FOLDER if name.endswith(_SCAN) else name
 
 
 def icon_files(name: str, vectors: NDArray[np.float32], faces: NDArray[np.int64]) -> dict[str, bytes]:

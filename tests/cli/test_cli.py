@@ -163,6 +163,10 @@ BAD = {
     "several into a file": (["precompute", "{}/ball.ply", "{}/ball.ply", "-o", "{}/x.prt"], "go into a folder"),
     "json of a file": (["precompute", "{}/ball.ply", "-o", "{}/x.prt", "--json"], "into a folder"),
     "unknown format": (["precompute", "{}/ball.ply", "-o", "{}/out/", "--format", "ply"], "'ply'"),
+    "goal of order 2": (
+        ["precompute", "{}/ball.ply", "-o", "{}/out/", "--format", "pifu", "--max-error", "0.1"],
+        "--max-error and --max-seconds are about prt; leave them out, or add --format prt",
+    ),
     "no list": (["precompute", "--from", "{}/none.txt", "-o", "{}/out"], "no such file"),
     "file as folder": (["precompute", "{}/ball.ply", "-o", "{}/ball.ply/"], "is not a folder"),
     "no output": (["precompute", "{}/ball.ply"], "--output"),

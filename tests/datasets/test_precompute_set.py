@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import pickle
 import subprocess
 import sys
@@ -147,6 +148,19 @@ def test_a_killed_run_goes_on(tmp_path):
     assert sorted(path.name for path in out.iterdir()) == sorted([NAME, *(f"{scan.stem}.prt" for scan in scans)])
 
 
+def test_what_killed_processes_left_is_gone(tmp_path):
+    """Half a file under another name, of outputs and of the records."""
+    path, out = write_ball(tmp_path / "a.obj", 0, 1), tmp_path / "out"
+    left = [out / ".a.prt.123.part", out / f".{NAME}.123.part", out / "a" / "bounce" / ".face.npy.123.part"]
+    others = [out / ".b.prt.123.part", out / "a" / ".face.npy.123.part"]
+    for partial in (*left, *others):
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_bytes(b"half")
+    sp.precompute_set([path], out, formats=("prt", "pifu"), **SMALL)
+    assert not any(partial.exists() for partial in left)
+    assert all(partial.exists() for partial in others)
+
+
 def test_jobs_can_be_done_elsewhere_in_any_order(scans, tmp_path):
     """The function, jobs and results are pickled; the results of a pool come as they are ready."""
 
@@ -190,6 +204,42 @@ def test_scans_of_one_name(tmp_path):
     assert made(sp.precompute_set([moved], tmp_path / "single", **SMALL)) == []
 
 
+def test_scans_with_one_folder_of_pifu(tmp_path):
+    scans = [write_ball(tmp_path / name, 0, 1) for name in ("x_100k.obj", "x_OBJ.obj")]
+    with pytest.raises(sp.UserError, match="would both be in the folder x_OBJ of PIFu; rename one"):
+        sp.precompute_set(scans, tmp_path / "out", formats="pifu")
+    assert made(sp.precompute_set(scans, tmp_path / "out", formats="icon")) == ["x_100k", "x_OBJ"]
+
+
+def test_a_file_where_a_folder_has_to_be(scans, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "a").write_text("")
+    results = sp.precompute_set(scans[:2], tmp_path / "out", formats="icon")
+    assert "out/a/prt: cannot be made" in (results[0].failure or "")
+    assert results[1].failure is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+@pytest.mark.parametrize("name", ["\u2028\x85".encode(), "ü\n".encode()])
+def test_names_that_look_like_ends_of_lines(name, tmp_path):
+    scan = write_ball(tmp_path / os.fsdecode(name + b".obj"), 0, 1)
+    assert len(made(sp.precompute_set([scan], tmp_path / "out", **SMALL))) == 1
+    assert made(sp.precompute_set([scan], tmp_path / "out", **SMALL)) == []
+    assert (tmp_path / "out" / NAME).read_bytes().count(b"\n") == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text there")
+def test_a_name_that_is_no_text(scans, tmp_path):
+    """Mitsuba takes none such; the others are done, and the records can be read."""
+    odd = tmp_path / os.fsdecode(b"\xff.obj")
+    odd.write_bytes(scans[0].read_bytes())
+    for done in (["a"], []):
+        results = sp.precompute_set([odd, scans[0]], tmp_path / "out", **SMALL)
+        assert results[0].failure is not None
+        assert made(results) == done
+    assert len(lines(tmp_path / "out")) == 2
+
+
 def test_training_formats(tmp_path):
     """All faces of the file with its transfer, at whatever corner: as dark there as a dense reference says."""
     ball = bent_ball(3, 3)
@@ -230,6 +280,7 @@ def test_other_formats_than_obj_are_refused_before_they_are_traced(tmp_path):
         ({"tolerence": 0.1}, "'tolerence' is no setting"),
         ({"tolerance": 2.0}, "tolerance must be"),
         ({"folder": ""}, "name of the output folder is empty"),
+        ({"tolerance": 0.1, "terms": 3}, "only one of"),
     ],
 )
 def test_mistakes(arguments, message, scans, tmp_path):

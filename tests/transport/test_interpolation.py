@@ -10,7 +10,7 @@ from slepian_prt.transport.interpolation import interpolation_error
 from tests.conftest import sphere
 from tests.hard.test_geometry import grid, joined
 
-# Transfer at points and at vertices is measured with 256 directions each: their noise, and what is left at this size.
+# Transfer at points and at vertices is measured with 128 directions each: their noise, and what is left at this size.
 NOISE = 0.05
 
 
