@@ -36,7 +36,7 @@ _VERTICES, _BANDLIMIT, _WORKERS, _NETWORK = 100_000_000, 20, (1, 16, 256), 1e9
 
 
 def scaling() -> None:
-    """Workers of one thread each on the largest dragon that is here, and what many would gain on 100 million vertices."""
+    """Workers of one thread each on the largest dragon that is here, and what many would gain."""
     path = DRAGONS / "dragon_vrip.ply"
     if not path.is_file():
         path = data_folder() / "meshes" / "skull.ply"
@@ -187,9 +187,9 @@ def _trace_and_code(planned: PlannedScene, source: Estimator[Any], learned: Lear
 
 def _open(planned: PlannedScene, source: Estimator[Any], learned: LearnedBases, path: Path) -> tuple[float, TracingJob]:
     """Seconds that a worker takes before its first block, and what it is sent."""
-    projection = choose_projection(learned)
-    projection = replace(projection, learned=learned.without_candidates())
-    job = TracingJob(make_portable(planned, path), projection, cut_receivers(source, projection), "scaling", "")
+    projection = choose_projection(replace(learned, widest={}))  # as a command does that chooses once
+    cut = cut_receivers(source, projection)
+    job = TracingJob(make_portable(planned, path), projection.as_sent(), cut, "scaling", "")
     sent = pickle.dumps(job)
     begin = time.perf_counter()
     arrived: TracingJob = pickle.loads(sent)
