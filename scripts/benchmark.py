@@ -15,6 +15,7 @@ from benchmarks.pages import pages
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.runtime import runtime
+from benchmarks.scaling import scaling
 from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.startup import startup
@@ -37,6 +38,7 @@ BENCHMARKS = {
     "smoothing": smoothing,
     "all_views": all_views,
     "dragons": dragons,
+    "scaling": scaling,
 }
 
 
