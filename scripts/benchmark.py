@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 
 from benchmarks.accuracy import accuracy
@@ -9,6 +10,7 @@ from benchmarks.all_views import all_views
 from benchmarks.compression import compression
 from benchmarks.datasets import datasets
 from benchmarks.files import files
+from benchmarks.gpu import gpu
 from benchmarks.page_files import page_files
 from benchmarks.page_pictures import page_pictures
 from benchmarks.pages import pages
@@ -20,6 +22,9 @@ from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.startup import startup
 from benchmarks.transport import dragons, transport
+
+from slepian_prt.errors import UserError
+from slepian_prt.renderer.variants import chosen_variant
 
 BENCHMARKS = {
     "sphere": sphere,
@@ -39,17 +44,25 @@ BENCHMARKS = {
     "all_views": all_views,
     "dragons": dragons,
     "scaling": scaling,
+    "gpu": gpu,
 }
 
 
 def main() -> None:
-    wanted = sys.argv[1:] or list(BENCHMARKS)
-    unknown = sorted(set(wanted) - set(BENCHMARKS))
+    parser = argparse.ArgumentParser()
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--variant", help="of Mitsuba, to measure in")
+    given = parser.parse_args()
+    unknown = sorted(set(given.names) - set(BENCHMARKS))
     if unknown:
         sys.exit(f"unknown benchmark {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}")
-    for name in wanted:
-        print(f"{name}: {BENCHMARKS[name].__doc__}")
-        BENCHMARKS[name]()
+    try:
+        with chosen_variant(given.variant):
+            for name in given.names or list(BENCHMARKS):
+                print(f"{name}: {BENCHMARKS[name].__doc__}")
+                BENCHMARKS[name]()
+    except UserError as error:
+        sys.exit(str(error))
 
 
 if __name__ == "__main__":
