@@ -190,7 +190,7 @@ class Crew:
         try:
             for number in range(len(futures)):
                 self._watch(futures[number], number, finished)
-            self._roster.awaited = len(futures)
+            self._roster.awaited, self._roster.deaths = len(futures), 0
             while self._roster.awaited:
                 numbers = self._next(finished)
                 done = [number for number in numbers if self._is_done(futures[number], number, finished)]

@@ -9,7 +9,7 @@ import pytest
 
 from slepian_prt.distributed import admission, examination
 from slepian_prt.distributed.crew import open_crew
-from slepian_prt.distributed.examination import look_around, package_versions, threads_of
+from slepian_prt.distributed.examination import look_around, package_versions, sharing_of
 from slepian_prt.errors import UserError
 
 HERE = look_around("llvm_ad_rgb")
@@ -69,7 +69,5 @@ def test_cores_are_shared_by_workers_that_may_use_the_same():
     def on(machine: str, *cores: int) -> examination.Equipment:
         return dataclasses.replace(HERE, machine=machine, cores=cores)
 
-    workers = {"a": on("x", 0, 1, 2, 3), "b": on("x", 0, 1, 2, 3), "c": on("y", 0, 1), "d": on("z", 0), "e": on("z", 0)}
-    assert threads_of(workers) == {"a": 2, "b": 2, "c": 2, "d": 1, "e": 1}
-    apart = {"a": on("x", 0, 1), "b": on("x", 2, 3, 4)}
-    assert threads_of(apart) == {"a": 2, "b": 3}
+    workers = [on("x", 0, 1, 2, 3), on("x", 0, 1, 2, 3), on("y", 0, 1), on("z", 0), on("z", 1)]
+    assert sharing_of(workers) == {("x", (0, 1, 2, 3)): 2, ("y", (0, 1)): 1, ("z", (0,)): 1, ("z", (1,)): 1}
