@@ -13,8 +13,8 @@ PACKAGE = Path(slepian_prt.__file__).parent
 # Each layer imports those before it; the modules beside the layers know nothing but each other.
 BESIDE = ("errors", "files", "summary", "examples")
 LAYERS = (
-    "sphere", "slepian", "renderer", "lighting", "scene", "paths", "transport", "compression", "relighting",
-    "runtime", "export", "viewer",
+    "sphere", "slepian", "renderer", "distributed", "lighting", "scene", "paths", "transport", "compression",
+    "relighting", "runtime", "export", "viewer",
     "evaluation", "accuracy", "cli",
 )  # fmt: skip
 

@@ -1,0 +1,91 @@
+"""Who gets work: workers that have what is needed get a mark, a resource of Dask's, that tasks ask for.
+
+The mark also keeps a worker with several threads of Dask to one task at a time: Mitsuba has threads of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from slepian_prt.distributed.examination import Equipment, examine, look_around, package_versions, threads_of
+from slepian_prt.errors import UserError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+log = logging.getLogger(__name__)
+
+
+class Admission:
+    """Examines the workers of a client, and marks them.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    variant : str
+        Of Mitsuba, that workers must be able to run.
+    """
+
+    def __init__(self, client: Client, variant: str) -> None:
+        self._client, self._variant = client, variant
+        here = look_around(variant)
+        if here.failure:
+            raise UserError(here.failure)
+        needed = repr((package_versions(), here.source, here.renderer))
+        self.mark = f"slepian_prt-{hashlib.sha256(needed.encode()).hexdigest()[:12]}"
+        self._processors = {here.processor}
+
+    async def admit(self, addresses: Iterable[str]) -> dict[str, str]:
+        """Mark those workers that have what is needed; what is wrong with the others."""
+        found = await examine(self._client, addresses, self._variant)
+        equipped = {address: what for address, what in found.items() if isinstance(what, Equipment)}
+        threads = threads_of(equipped)
+        of_each: list[Any] = [
+            self._client.run(_equip, self.mark, threads[address], self._variant, workers=[address], on_error="ignore")
+            for address in equipped
+        ]
+        await asyncio.gather(*of_each)
+        if equipped:
+            await self._client.run_on_scheduler(_wake, list(equipped))
+        self._compare_processors(equipped)
+        return {address: what for address, what in found.items() if isinstance(what, str)}
+
+    def _compare_processors(self, equipped: dict[str, Equipment]) -> None:
+        before = set(self._processors)
+        self._processors |= {each.processor for each in equipped.values()}
+        if len(before) == 1 and len(self._processors) > 1:
+            log.info(
+                "processors differ (%s): results are equal to rounding, not to the bit",
+                ", ".join(sorted(self._processors)),
+            )
+
+
+async def _equip(mark: str, threads: int, variant: str, dask_worker: Any = None) -> None:
+    """On a worker: threads of Mitsuba, of BLAS, and the mark."""
+    await asyncio.get_running_loop().run_in_executor(None, _set_threads, threads, variant)
+    if dask_worker.state.total_resources.get(mark) != 1:
+        await dask_worker.set_resources(**{mark: 1})
+
+
+def _set_threads(threads: int, variant: str) -> None:
+    import drjit
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1, "blas")
+    if variant.startswith("llvm") and drjit.thread_count() != threads:
+        drjit.set_thread_count(threads)
+
+
+def _wake(addresses: list[str], dask_scheduler: Any = None) -> None:
+    """On the scheduler: give tasks that no worker could take to these, which by themselves it looks at when they come.
+
+    As it does for a worker that goes on after a pause.
+    """
+    for address in addresses:
+        if (worker := dask_scheduler.workers.get(address)) is not None:
+            runnable = dask_scheduler.bulk_schedule_unrunnable_after_adding_worker(worker)
+            dask_scheduler.transitions(runnable, stimulus_id=f"slepian_prt-admitted-{address}")

@@ -1,0 +1,87 @@
+"""On workers: values that all tasks share, one of them opened, and the calls of functions on it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Shared:
+    """A value that workers hold, by the name under which they do."""
+
+    name: str
+
+
+class NotHeldError(Exception):
+    """No worker has the value any more: those that had it died."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
+# Values of this process, as they came.
+_values: dict[str, Any] = {}
+
+# The value that is open, if any: scenes are big, so that another one closes it.
+_open: dict[str, tuple[Any, contextlib.ExitStack]] = {}
+
+
+def call(function: Callable[[Any, Any], Any], shared: Shared | None, item: Any) -> Any:
+    """A task: the function, of the opened value and an item."""
+    return function(None if shared is None else _opened(shared.name), item)
+
+
+def keep(name: str, dask_worker: Any = None) -> None:
+    """Hold a value that Dask has brought here, whatever Dask does with its own copy."""
+    if name in dask_worker.data:
+        _values[name] = dask_worker.data[name]
+
+
+async def forget(names: list[str], dask_worker: Any = None) -> None:
+    """Give values up; one that is open is closed in its thread, after what runs there."""
+    for name in names:
+        _values.pop(name, None)
+    dask_worker.executors["default"].submit(_close, names)
+
+
+def _opened(name: str) -> Any:
+    if name not in _open:
+        value = _value(name)
+        _close(list(_open))
+        stack = contextlib.ExitStack()
+        opened = stack.enter_context(value.open()) if hasattr(value, "open") else value
+        _open[name] = opened, stack
+    return _open[name][0]
+
+
+def _close(names: list[str]) -> None:
+    for name in names:
+        if name in _open:
+            _open.pop(name)[1].close()
+
+
+def _value(name: str) -> Any:
+    """From this process, or another worker."""
+    if name not in _values:
+        from distributed import get_worker
+        from distributed.utils import sync
+
+        worker = get_worker()
+        _values[name] = sync(worker.loop, _fetch, worker, name)
+    return _values[name]
+
+
+async def _fetch(worker: Any, name: str) -> Any:
+    from distributed.utils_comm import gather_from_workers
+
+    if name in worker.data:
+        return worker.data[name]
+    holders = await worker.scheduler.who_has(keys=[name])
+    data, *_ = await gather_from_workers(holders, rpc=worker.rpc)
+    if name not in data:
+        raise NotHeldError(name)
+    return data[name]

@@ -1,0 +1,105 @@
+"""Workers on this machine, which end with us and leave no files."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import logging
+import os
+import shutil
+import signal
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from slepian_prt.distributed.quiet import kept_environment
+
+if TYPE_CHECKING:
+    from distributed import LocalCluster
+
+_FOLDER = "slepian-prt-workers-"
+
+# Ports for this machine only: the one where people look for a dashboard, or any for what there is without one.
+_DASHBOARD, _NO_DASHBOARD = "127.0.0.1:8787", "127.0.0.1:0"
+
+# How often workers may die is decided by whether the work gets on, see `Crew.results`.
+_ANY_NUMBER = 10**9
+
+
+@contextmanager
+def local_cluster(workers: int, security: Any = None) -> Iterator[LocalCluster]:
+    """So many processes, each with one thread of Dask and without a limit of memory.
+
+    When the with-block ends by an exception, what they are doing is not waited for. When we are killed they end too,
+    and their folder is removed by the next that is opened.
+    """
+    from distributed import LocalCluster
+
+    _forget_stale()
+    with kept_environment(), contextlib.ExitStack() as stack:
+        folder = tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-")
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the children, from their first moment
+        with _interrupts_held(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that the port is in use: another one is taken
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=0,
+                local_directory=folder,
+                dashboard_address=_DASHBOARD if has_dashboard() else _NO_DASHBOARD,
+                preload=["slepian_prt.distributed.worker_start"],
+                silence_logs=logging.CRITICAL + 1,
+                security=security,
+                scheduler_kwargs={"allowed_failures": _ANY_NUMBER},
+            )
+        stack.callback(cluster.close)
+        try:
+            yield cluster
+        except BaseException:
+            _kill(cluster)
+            raise
+
+
+def has_dashboard() -> bool:
+    """Whether what draws Dask's dashboard is installed."""
+    return importlib.util.find_spec("bokeh") is not None
+
+
+def _kill(cluster: LocalCluster) -> None:
+    for nanny in list(cluster.workers.values()):
+        nanny.close_gracefully()  # so that it starts no other
+        if nanny.pid:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(nanny.pid, signal.SIGKILL)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits until the block has ended.
+
+    Threads and processes that begin in it never hear of one: a terminal interrupts all processes of a command, and
+    it is ours to end those of the cluster.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _forget_stale() -> None:
+    """Remove folders of processes that were killed."""
+    import psutil
+
+    for folder in Path(tempfile.gettempdir()).glob(f"{_FOLDER}*-*"):
+        number = folder.name.removeprefix(_FOLDER).split("-")[0]
+        if number.isdecimal() and not psutil.pid_exists(int(number)):
+            shutil.rmtree(folder, ignore_errors=True)
