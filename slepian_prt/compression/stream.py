@@ -30,6 +30,7 @@ from slepian_prt.compression.tracing import Projected, trace_and_project
 from slepian_prt.compression.tracing_by_workers import trace_by_workers
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
+from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.estimator import Estimator, TransferBlock
 from slepian_prt.transport.planned import PlannedScene, plan_scene
@@ -248,7 +249,8 @@ def precompute_compressed(
     settings.check(int(transport.bandlimit))
     with plan_scene(scene, transport, on_plan) as planned:
         if not planned.by_blocks or settings.needs_all_vectors:
-            transfer = compute_transfer(planned, advance)
+            with by_workers(planned, crew, scene) as shared:
+                transfer = compute_transfer(shared, advance)
             return compress(transfer, report=report, **vars(settings))
         source, grouping = planned.estimator(), group_scene(settings, planned)
         seed, receivers = transport.seed, _stored_mesh(planned, settings).mesh.receivers

@@ -49,6 +49,11 @@ async def forget(prefix: str, dask_worker: Any = None) -> None:
     dask_worker.executors["default"].submit(_close, prefix)
 
 
+def value_of(shared: Shared) -> Any:
+    """A value as it came, beside the one that is open; for tasks that have its handle among their items."""
+    return _value(shared.name)
+
+
 def _opened(name: str) -> Any:
     if name not in _open:
         value = _value(name)

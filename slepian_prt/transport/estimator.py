@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar, overload
+from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,13 +62,15 @@ class Estimator(ABC, Generic[Samples]):
     ----------
     scene : Scene
     bandlimit : int
-    channels : int
-        Of the vectors.
     """
 
     scene: Scene
     bandlimit: int
-    channels: ClassVar[int]
+
+    @property
+    @abstractmethod
+    def channels(self) -> int:
+        """Of the vectors."""
 
     @property
     @abstractmethod

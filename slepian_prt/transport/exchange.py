@@ -19,26 +19,21 @@ from slepian_prt.transport.fixed_lights import bounced_light
 from slepian_prt.transport.glossy import merge_equal_channels
 from slepian_prt.transport.interior import InteriorVertices
 from slepian_prt.transport.interreflection import (
-    GATHER_SHARE,
-    Exchange,
+    Bounces,
+    BouncesHere,
     Gather,
-    add_bounces,
-    count_bounces,
     gather_operator,
+    gathering_nodes,
 )
 from slepian_prt.transport.lamp_paths import trace_lamp_paths
 from slepian_prt.transport.path_light import PathLight, trace_paths
-from slepian_prt.transport.path_plan import first_directions
 from slepian_prt.transport.planned import PlannedScene
 from slepian_prt.transport.smoothing import across_seams, relative_noise, smooth, surface_guides, variance_of_halves
-from slepian_prt.transport.view_paths import trace_view_paths
+from slepian_prt.transport.view_paths import bounces_toward, trace_view_paths
 
 log = logging.getLogger(__name__)
 
 _WHITE = math.sqrt(4.0 * math.pi)
-
-# Bounces toward a camera, where there is no limit to them.
-_MANY = 128
 
 # So many times the light that comes in is worth a remark, at the brightest receivers but for these that noise makes so.
 _TOO_BRIGHT, _NEARLY_ALL = 2.0, 0.99
@@ -61,6 +56,25 @@ class Together:
         """(V, k) light received from surfaces of one channel's ``albedo`` (V,) that shine by ``values`` (V, k)."""
         brought = self.paths.reflected(albedo, values, channel)
         return brought if self.gather is None else self.gather.reflected(albedo, values) + brought
+
+
+class Known(NamedTuple):
+    """What was traced of an exchange of light.
+
+    Attributes
+    ----------
+    all : Bounces
+        Of R + S.
+    surfaces : Bounces or None
+        Of R alone, if there is any.
+    paths : PathLight or None
+    rays : int
+    """
+
+    all: Bounces
+    surfaces: Bounces | None
+    paths: PathLight | None
+    rays: int
 
 
 class Exchanged(NamedTuple):
@@ -106,12 +120,24 @@ def exchange_light(
     report : callable
         Given the number of vertices finished since its last call.
     """
+    plan = planned.plan
+    seeing = plan.shadowed[~planned.within_media[plan.shadowed]] if plan.interreflection else plan.shadowed[:0]
+    if planned.remote is None:
+        trace = _trace_here
+    else:
+        from slepian_prt.transport.by_workers.exchange import trace_exchange as trace
+    return _Solver(planned, trace(planned, seeing, blocked, report), blocked, interior).solve(vectors, fixed)
+
+
+def _trace_here(
+    planned: PlannedScene, seeing: NDArray[np.int64], blocked: NDArray[np.float32], report: Callable[[int], None]
+) -> Known:
+    """What is exchanged; ``seeing`` are the receivers that surfaces are gathered at."""
     scene, plan, settings = planned.scene, planned.plan, planned.settings
     gather = paths = None
+    if seeing.size:
+        gather = gather_operator(scene, gathering_nodes(settings.samples), seeing, blocked, settings.seed + 1, report)
     if plan.interreflection:
-        nodes = max(1, round(GATHER_SHARE * settings.samples))
-        seeing = plan.shadowed[~planned.within_media[plan.shadowed]]
-        gather = gather_operator(scene, nodes, seeing, blocked, settings.seed + 1, report) if seeing.size else None
         planned.clock.stop("interreflection")
     if plan.paths is not None:
         wanted = plan.paths
@@ -120,16 +146,19 @@ def exchange_light(
             report,
         )  # fmt: skip
         planned.clock.stop("paths")
-    return _Solver(planned, gather, paths, blocked, interior).solve(vectors, fixed)
+    exchange = gather if paths is None else Together(gather, paths)
+    assert exchange is not None
+    rays = sum(part.rays for part in (gather, paths) if part is not None)
+    return Known(BouncesHere(exchange), None if gather is None else BouncesHere(gather), paths, rays)
 
 
 def add_indirect(planned: PlannedScene, vectors: NDArray[np.float32], report: Callable[[int], None]) -> Exchanged:
     """Transfer toward a camera with what comes by way of other surfaces, whatever these are made of."""
-    scene, settings, view = planned.scene, planned.settings, planned.plan.view
-    assert view is not None
-    bounces = _MANY if settings.bounces is None else settings.bounces
-    samples = first_directions(settings.samples)
-    paths = trace_view_paths(scene, view, samples, settings.bandlimit, bounces, settings.seed + 1, report)
+    if planned.remote is None:
+        trace = trace_view_paths
+    else:
+        from slepian_prt.transport.by_workers.paths import view_paths_by_workers as trace
+    paths, bounces = trace(planned, report), bounces_toward(planned.settings)
     planned.clock.stop("paths")
     if vectors.shape[1] == 1:
         vectors = np.repeat(vectors, 3, axis=1)
@@ -147,16 +176,12 @@ class _Solver:
     def __init__(
         self,
         planned: PlannedScene,
-        gather: Gather | None,
-        paths: PathLight | None,
+        known: Known,
         blocked: NDArray[np.float32],
         interior: InteriorVertices,
     ) -> None:
-        self._planned, self._gather, self._paths = planned, gather, paths
+        self._planned, self._known, self._paths = planned, known, known.paths
         self._blocked, self._interior = blocked, interior
-        exchange = gather if paths is None else Together(gather, paths)
-        assert exchange is not None
-        self._exchange: Exchange = exchange
         self._albedo = planned.scene.receivers.albedo
         self._channels = planned.plan.channels
 
@@ -164,7 +189,7 @@ class _Solver:
         settings, interior, paths = self._planned.settings, self._interior, self._paths
         bounces = self._likely_bounces() if settings.bounces is None else settings.bounces
         source = None if paths is None else self._source
-        vectors = add_bounces(self._exchange, self._albedo, vectors[:, 0], self._channels, bounces, source)
+        vectors = self._known.all.add(self._albedo, vectors[:, 0], self._channels, bounces, source)
         interior.fill(vectors)
         noise = None
         if paths is not None:
@@ -172,12 +197,12 @@ class _Solver:
             self._planned.clock.stop("bounces")
             noise = self._take_out_noise(paths, vectors, bounces)
             self._planned.clock.stop("smoothing")
-        rays = sum(part.rays for part in (self._gather, paths) if part is not None)
+        rays = self._known.rays
         if fixed is not None:
             brought, lamp_rays = self._light_of_lamps()
             rays += lamp_rays
             bounced = bounced_light(
-                self._exchange, self._albedo, fixed.direct, self._channels, settings.bounces, brought
+                self._known.all, self._albedo, fixed.direct, self._channels, settings.bounces, brought
             )
             for light in bounced:
                 interior.fill(light)
@@ -211,9 +236,12 @@ class _Solver:
         planned, wanted = self._planned, self._planned.plan.paths
         if wanted is None:
             return None, 0
-        scene, groups, settings = planned.scene, planned.lamps.groups, planned.settings
-        found = trace_lamp_paths(scene, groups, wanted.receivers, wanted.samples, wanted.effects, settings.seed + 3)
-        brought = np.zeros((len(groups), len(scene.receivers), 3), dtype=np.float32)
+        if planned.remote is None:
+            trace = trace_lamp_paths
+        else:
+            from slepian_prt.transport.by_workers.lamps import lamp_paths_by_workers as trace
+        found, groups, count = trace(planned, wanted), planned.lamps.groups, len(planned.scene.receivers)
+        brought = np.zeros((len(groups), count, 3), dtype=np.float32)
         for light, radiance, half in zip(brought, found.radiance, found.error, strict=True):
             light[found.rows] = radiance
             self._interior.fill(light)
@@ -225,14 +253,14 @@ class _Solver:
 
     def _spread(self, light: NDArray[np.float32], bounces: int) -> NDArray[np.float32]:
         """(V, channels, M) light, and what surfaces reflect of it onto each other."""
-        if self._gather is None:
+        if self._known.surfaces is None:
             return light
         none = np.zeros((len(light), light.shape[2]), dtype=np.float32)
 
         def source(channel: int, columns: slice) -> NDArray[np.float32]:
             return light[:, channel, columns]
 
-        return add_bounces(self._gather, self._albedo, none, self._channels, bounces, source)
+        return self._known.surfaces.add(self._albedo, none, self._channels, bounces, source)
 
     def _albedo_of(self, channel: int) -> NDArray[np.float32]:
         albedo = self._albedo.mean(axis=1) if self._channels == 1 else self._albedo[:, channel]
@@ -249,13 +277,13 @@ class _Solver:
         active = self._planned.scene.receivers.active
         ambient = np.where(active, 1.0 - self._blocked, 0.0)
         if self._paths is None:
-            return count_bounces(self._exchange, self._albedo, ambient)
+            return self._known.all.count(self._albedo, ambient)
         channels = range(self._channels)
         columns = [self._albedo.mean(axis=1, keepdims=True)] if self._channels == 1 else self._albedo.T[:, :, None]
         counts = []
         for channel in channels:
             first = self._source(channel, slice(0, 1))[:, 0] * _WHITE
-            counts.append(count_bounces(self._exchange, columns[channel], ambient + first, channel))
+            counts.append(self._known.all.count(columns[channel], ambient + first, channel))
         return max(counts)
 
 

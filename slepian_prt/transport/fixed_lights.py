@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.transport.interior import InteriorVertices
-from slepian_prt.transport.interreflection import Exchange, count_bounces
+from slepian_prt.transport.interreflection import Bounces, reflectance_of
 from slepian_prt.transport.lamp_light import LampTracer
 from slepian_prt.transport.planned import PlannedScene
 
@@ -34,7 +34,7 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
     UserError
         Light that is negative or not finite somewhere.
     """
-    scene, lamps, settings = planned.scene, planned.lamps, planned.settings
+    scene, lamps = planned.scene, planned.lamps
     if not lamps.groups or not lamps.wanted or planned.plan.view is not None:
         return None, 0
     count = len(scene.receivers)
@@ -42,15 +42,20 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
     shadowed[planned.plan.shadowed] = True
     hidden = scene.is_hidden if planned.plan.shadowed.size else np.zeros(count, dtype=bool)
     direct = np.zeros((len(lamps.groups), count, 3), dtype=np.float32)
-    passes = planned.plan.paths is not None and bool(_STRAIGHT & set(planned.plan.paths.effects))
-    tracer = LampTracer(scene, lamps.groups, settings.samples, settings.seed, passes)
-    lit = scene.receivers.active & ~hidden
+    lit, rays = scene.receivers.active & ~hidden, 0
     squared_noise = np.zeros(len(lamps.groups))
+    if planned.remote is None:
+        trace = lamp_tracer(planned).trace
+    else:
+        from slepian_prt.transport.by_workers.lamps import LampsByWorkers
+
+        trace = LampsByWorkers(planned).trace
     for chosen, shadows in ((np.flatnonzero(lit & shadowed), True), (np.flatnonzero(lit & ~shadowed), False)):
         if chosen.size:
-            traced = tracer.trace(chosen, shadows=shadows)
+            traced = trace(chosen, shadows=shadows)
             direct[:, chosen] = traced.radiance
             squared_noise += traced.squared_noise
+            rays += traced.rays
     _check(scene.path, lamps.names, direct)
     power = [np.sum(np.square(light, dtype=np.float64)) for light in direct]
     noise = np.sqrt(squared_noise / np.maximum(power, 1e-300))
@@ -59,11 +64,18 @@ def direct_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tu
         _remark(scene.path, name, float(reached), light, float(relative))
     dark = np.zeros(direct.shape, dtype=np.float32)  # takes no memory until it is written to
     fixed = FixedLights(lamps.names, lamps.kinds, lamps.emitted, direct, dark, lamps.directions)
-    return fixed, tracer.rays
+    return fixed, rays
+
+
+def lamp_tracer(planned: PlannedScene) -> LampTracer:
+    """What samples the lamps of a planned scene."""
+    passes = planned.plan.paths is not None and bool(_STRAIGHT & set(planned.plan.paths.effects))
+    settings = planned.settings
+    return LampTracer(planned.scene, planned.lamps.groups, settings.samples, settings.seed, passes)
 
 
 def bounced_light(
-    gather: Exchange,
+    series: Bounces,
     albedo: NDArray,
     direct: NDArray[np.float32],
     channels: int,
@@ -74,7 +86,7 @@ def bounced_light(
 
     Parameters
     ----------
-    gather : Gather, or another exchange of light
+    series : Bounces
     albedo : (V, 3)
     direct : (n, V, 3)
         For unit albedo.
@@ -89,13 +101,11 @@ def bounced_light(
         bounced += brought
         direct = direct + brought
     if bounces is None:
-        bounces = max((count_bounces(gather, albedo, light.max(axis=1)) for light in direct), default=0)
+        bounces = max((series.count(albedo, light.max(axis=1)) for light in direct), default=0)
     for channel in range(3):
-        reflectance = (albedo.mean(axis=1) if channels == 1 else albedo[:, channel]).astype(np.float32)
-        light = np.ascontiguousarray(direct[:, :, channel].T)
-        for _ in range(bounces):
-            light = gather.reflected(reflectance, light, channel)
-            bounced[:, :, channel] += light.T
+        light, collected = (np.ascontiguousarray(values[:, :, channel].T) for values in (direct, bounced))
+        reflectance = reflectance_of(albedo, channels, channel)
+        bounced[:, :, channel] = series.follow(reflectance, light, collected, bounces, channel).T
     return bounced
 
 

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
-from slepian_prt.transport.directions import DirectionSet, direction_set
+from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.hemisphere import HemisphereRays
 
 _RAYS_PER_BLOCK = 1 << 20
@@ -34,12 +34,64 @@ _COLUMNS = 16
 GATHER_SHARE = 0.25
 
 
+# Gives what comes to the vertices by itself: (V, k), of a channel and some of the columns.
+Source = Callable[[int, slice], NDArray]
+
+
+def gathering_nodes(samples: float) -> int:
+    """Rays of a receiver that gather, where visibility gets ``samples``."""
+    return max(1, round(GATHER_SHARE * samples))
+
+
 class Exchange(Protocol):
     """Light that receivers get from each other: R, or more."""
 
     def reflected(self, albedo: NDArray, values: NDArray, channel: int = 0) -> NDArray[np.float32]:
         """(V, k) light received from surfaces of one channel's ``albedo`` (V,) that shine by ``values`` (V, k)."""
         ...
+
+
+class Bounces(Protocol):
+    """The series of an exchange, wherever it is summed."""
+
+    def add(
+        self, albedo: NDArray, direct: NDArray, channels: int, bounces: int, source: Source | None = None
+    ) -> NDArray[np.float32]:
+        """As `add_bounces`."""
+        ...
+
+    def count(self, albedo: NDArray, ambient: NDArray, channel: int = 0) -> int:
+        """As `count_bounces`."""
+        ...
+
+    def follow(
+        self, reflectance: NDArray, light: NDArray, collected: NDArray, bounces: int, channel: int
+    ) -> NDArray[np.float32]:
+        """As `follow_bounces`."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class BouncesHere:
+    """The series, summed in this process."""
+
+    exchange: Exchange
+
+    def add(
+        self, albedo: NDArray, direct: NDArray, channels: int, bounces: int, source: Source | None = None
+    ) -> NDArray[np.float32]:
+        """As `add_bounces`."""
+        return add_bounces(self.exchange, albedo, direct, channels, bounces, source)
+
+    def count(self, albedo: NDArray, ambient: NDArray, channel: int = 0) -> int:
+        """As `count_bounces`."""
+        return count_bounces(self.exchange, albedo, ambient, channel)
+
+    def follow(
+        self, reflectance: NDArray, light: NDArray, collected: NDArray, bounces: int, channel: int
+    ) -> NDArray[np.float32]:
+        """As `follow_bounces`."""
+        return follow_bounces(self.exchange, reflectance, light, collected, bounces, channel)
 
 
 @dataclass(frozen=True)
@@ -96,13 +148,11 @@ def gather_operator(
     advance : callable
         Given the number of vertices finished since its last call.
     """
-    tracer = _Gatherer(scene, direction_set(nodes), seed)
-    size = max(1, _RAYS_PER_BLOCK // tracer.directions.size)
-    vertices = vertices[np.argsort(morton(scene.traced_positions[vertices]), kind="stable")]
+    tracer = Gatherer(scene, nodes, seed)
+    vertices, pieces = cut_gathering(scene, nodes, vertices)
     parts: list[csr_array] = []
     backs = others = 0.0
-    for begin in range(0, vertices.size, size):
-        chosen = vertices[begin : begin + size]
+    for chosen in pieces:
         block = tracer.gather(chosen, None if blocked is None else blocked[chosen])
         parts.append(block.weights)
         backs, others = backs + block.backs, others + block.others
@@ -111,13 +161,22 @@ def gather_operator(
     return Gather(vertices, joined, backs / vertices.size, others / vertices.size, tracer.rays)
 
 
+def cut_gathering(
+    scene: Scene, nodes: int, vertices: NDArray, rays_per_piece: int = _RAYS_PER_BLOCK
+) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
+    """Receivers in the order of the rows of `Gather`, and in pieces to trace, which do not change what is found."""
+    size = max(1, rays_per_piece // direction_set(nodes).size)
+    order = vertices[np.argsort(morton(scene.traced_positions[vertices]), kind="stable")]
+    return order, [order[begin : begin + size] for begin in range(0, order.size, size)]
+
+
 def add_bounces(
     gather: Exchange,
     albedo: NDArray,
     direct: NDArray,
     channels: int,
     bounces: int,
-    source: Callable[[int, slice], NDArray] | None = None,
+    source: Source | None = None,
 ) -> NDArray[np.float32]:
     """Transfer vectors with the light of ``bounces`` bounces between surfaces added.
 
@@ -130,7 +189,7 @@ def add_bounces(
     channels : 1 (their mean stands for all) or 3
     bounces : int
     source : callable, optional
-        Gives what comes to the vertices beside ``direct``: (V, k), of a channel and some of the columns.
+        What comes to the vertices beside ``direct``.
 
     Returns
     -------
@@ -140,21 +199,35 @@ def add_bounces(
     total = direct[:, None, :] if channels == 1 else np.empty((len(direct), 3, direct.shape[1]), dtype=np.float32)
 
     def bounce(channel: int, columns: slice) -> None:
-        reflectance = (albedo.mean(axis=1) if channels == 1 else albedo[:, channel]).astype(np.float32)
         light = np.ascontiguousarray(direct[:, columns])
         if source is not None:
             light = light + source(channel, columns)
-        collected = light.copy()
-        for _ in range(bounces):
-            light = gather.reflected(reflectance, light, channel)
-            collected += light
-        total[:, channel, columns] = collected
+        reflectance = reflectance_of(albedo, channels, channel)
+        total[:, channel, columns] = follow_bounces(gather, reflectance, light, light.copy(), bounces, channel)
 
-    size = direct.shape[1]
-    columns = [slice(begin, begin + _COLUMNS) for begin in range(0, size, _COLUMNS)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # scipy's sparse product lets go of the interpreter
-        list(pool.map(lambda piece: bounce(*piece), product(range(channels), columns)))
+        list(pool.map(lambda piece: bounce(*piece), product(range(channels), cut_columns(direct.shape[1]))))
     return total
+
+
+def follow_bounces(
+    gather: Exchange, reflectance: NDArray, light: NDArray, collected: NDArray, bounces: int, channel: int
+) -> NDArray[np.float32]:
+    """Add the light (V, k) of each of ``bounces`` bounces, that begin with ``light``, to ``collected``, in place."""
+    for _ in range(bounces):
+        light = gather.reflected(reflectance, light, channel)
+        collected += light
+    return collected
+
+
+def reflectance_of(albedo: NDArray, channels: int, channel: int) -> NDArray[np.float32]:
+    """(V,) of a channel; of one channel the mean of all."""
+    return (albedo.mean(axis=1) if channels == 1 else albedo[:, channel]).astype(np.float32)
+
+
+def cut_columns(size: int, width: int = _COLUMNS) -> list[slice]:
+    """Columns in pieces that are bounced together."""
+    return [slice(begin, min(begin + width, size)) for begin in range(0, size, width)]
 
 
 def count_bounces(gather: Exchange, albedo: NDArray, ambient: NDArray, channel: int = 0) -> int:
@@ -202,7 +275,7 @@ def _stack(parts: list[csr_array], columns: int) -> csr_array:
     return csr_array((data, indices, starts.astype(indices.dtype)), shape=(starts.size - 1, columns))
 
 
-class _GatherBlock(NamedTuple):
+class GatherBlock(NamedTuple):
     """What a block of n receivers sees.
 
     Attributes
@@ -217,16 +290,16 @@ class _GatherBlock(NamedTuple):
     others: float
 
 
-class _Gatherer(HemisphereRays):
-    """Closest hits along the nodes of a direction set, as weights of the vertices that they lie between."""
+class Gatherer(HemisphereRays):
+    """Closest hits along so many nodes, as weights of the vertices that they lie between."""
 
-    def __init__(self, scene: Scene, directions: DirectionSet, seed: int) -> None:
-        super().__init__(scene, directions, seed)
+    def __init__(self, scene: Scene, nodes: int, seed: int) -> None:
+        super().__init__(scene, direction_set(nodes), seed)
         self._faces, self._behind = scene.faces, scene.faces_behind
         self._reflects_behind = np.repeat(np.array(scene.two_sided), np.diff([*scene.first_faces, len(scene.faces)]))
         self._scene = scene
 
-    def gather(self, vertices: NDArray, blocked: NDArray | None) -> _GatherBlock:
+    def gather(self, vertices: NDArray, blocked: NDArray | None) -> GatherBlock:
         """Trace a block of receivers; rows are scaled to the blocked part of each hemisphere where that is known."""
         import drjit as dr
 
@@ -254,7 +327,7 @@ class _Gatherer(HemisphereRays):
         values = np.stack([share * (1.0 - second - third), share * second, share * third], axis=1)
         corner = np.where(is_front[lane, None], self._faces[met[lane]], self._behind[met[lane]])
         places = (np.repeat(row, 3).astype(np.int32), corner.ravel())
-        return _GatherBlock(
+        return GatherBlock(
             csr_array((values.ravel(), places), shape=(count, len(self._normals))),
             float(weight[is_receiver & ~holds_light & self._reflects_behind[met]].sum()),
             float(weight[is_hit & ~is_receiver].sum()),

@@ -8,6 +8,7 @@ first would have the noise of 1/r².
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -38,7 +39,7 @@ _SHORTENED = 1e-3
 _FEWEST, _EACH_OF_SEVERAL, _MOST = 32, 8, 2
 
 # Receivers whose light is put together at a time.
-_RECEIVERS = 1 << 16
+_RECEIVERS = 1 << 13
 
 
 class Group(NamedTuple):
@@ -123,15 +124,14 @@ class LampTracer:
         DirectLight
             With the receivers given in the place of all.
         """
+        return join_direct([self.trace_block(block, shadows) for block in cut_receivers(vertices)])
+
+    def trace_block(self, vertices: NDArray[np.int64], shadows: bool) -> DirectLight:
+        """As `trace`, of one of the pieces of `cut_receivers`."""
         before = self.rays
-        radiance = np.empty((len(self.groups), vertices.size, 3), dtype=np.float32)
-        squared_noise = np.zeros(len(self.groups))
-        for begin in range(0, vertices.size, _RECEIVERS):
-            some = slice(begin, begin + _RECEIVERS)
-            halves = self._halves_at(vertices[some], shadows)
-            radiance[:, some] = halves.mean(axis=1)
-            squared_noise += np.sum((0.5 * (halves[:, 0] - halves[:, 1])) ** 2, axis=(1, 2))
-        return DirectLight(radiance, squared_noise, self.rays - before)
+        halves = self._halves_at(vertices, shadows)
+        squared_noise = np.sum((0.5 * (halves[:, 0] - halves[:, 1])) ** 2, axis=(1, 2))
+        return DirectLight(halves.mean(axis=1).astype(np.float32), squared_noise, self.rays - before)
 
     def _halves_at(self, vertices: NDArray[np.int64], shadows: bool) -> NDArray[np.float64]:
         """(groups, 2, n, 3) estimates from both halves of the samples."""
@@ -276,6 +276,20 @@ class LampTracer:
                 group_of[numbers[group.emitters]] = index
                 samples[numbers[group.emitters]] = toward[index] * group.weights
         return mi.Int32(group_of), mi.Float(samples)
+
+
+def cut_receivers(vertices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Receivers in pieces whose light is put together."""
+    return [vertices[begin : begin + _RECEIVERS] for begin in range(0, vertices.size, _RECEIVERS)]
+
+
+def join_direct(parts: Sequence[DirectLight]) -> DirectLight:
+    """The light of pieces of receivers, at least one, as if they had been one."""
+    radiance = np.concatenate([part.radiance for part in parts], axis=1)
+    noise = np.zeros_like(parts[0].squared_noise)
+    for part in parts:
+        noise += part.squared_noise
+    return DirectLight(radiance, noise, sum(part.rays for part in parts))
 
 
 def shining_geometry(scene: Scene) -> Any:

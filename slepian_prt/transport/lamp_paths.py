@@ -7,7 +7,7 @@ boundaries that all light passes, is left to `lamp_light`, and what held surface
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +18,11 @@ from slepian_prt.paths.scattering import Drawn, Scatterer
 from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.scene.face_table import shape_numbers
 from slepian_prt.scene.scene import Scene
+from slepian_prt.transport.effects import PathPlan
 from slepian_prt.transport.first_rays import FirstRays
 from slepian_prt.transport.held_faces import HeldFaces
 from slepian_prt.transport.lamp_light import Group, power_heuristic, shining_geometry
+from slepian_prt.transport.planned import PlannedScene
 
 
 class BroughtLight(NamedTuple):
@@ -42,37 +44,62 @@ class BroughtLight(NamedTuple):
     rays: int
 
 
-def trace_lamp_paths(
-    scene: Scene, groups: list[Group], vertices: NDArray[np.int64], samples: int, effects: Iterable[str], seed: int
-) -> BroughtLight:
-    """What lamps send to ``vertices`` on paths that go on by some effects; other arguments as of `trace_paths`."""
-    import drjit as dr
+def trace_lamp_paths(planned: PlannedScene, wanted: PathPlan) -> BroughtLight:
+    """What the lamps of a planned scene send to its receivers on paths."""
+    paths = LampPaths.planned(planned, wanted)
+    return join_brought([paths.trace(block) for block in paths.blocks(wanted.receivers)])
 
-    geometry = shining_geometry(scene)
-    held = _HeldOrShining(scene, geometry)
-    first = FirstRays(scene, geometry, held, samples, effects, seed)
-    lights = _LampLights(scene, geometry, groups)
-    tracer = PathTracer(scene.mi, geometry, held.materials, known=held, lights=lights)
-    blocks = first.blocks(vertices)
-    rows = np.concatenate(blocks)
-    sums, rays, done = np.zeros((2, len(groups), rows.size, 3)), 0, 0
-    for block in blocks:
-        gone = first.trace(block)
-        rays += block.size * samples
+
+def join_brought(parts: Sequence[BroughtLight]) -> BroughtLight:
+    """The light of blocks of receivers, as if they had been one."""
+    rows = np.concatenate([part.rows for part in parts])
+    radiance, error = (np.concatenate([part[place] for part in parts], axis=1) for place in (1, 2))
+    return BroughtLight(rows, radiance, error, sum(part.rays for part in parts))
+
+
+class LampPaths:
+    """Paths from receivers that look for lamps; arguments as of `PathRays`, and the lamps."""
+
+    def __init__(self, scene: Scene, groups: list[Group], samples: int, effects: Iterable[str], seed: int) -> None:
+        geometry = shining_geometry(scene)
+        held = _HeldOrShining(scene, geometry)
+        lights = _LampLights(scene, geometry, groups)
+        self._groups, self._samples = len(groups), samples
+        self._first = FirstRays(scene, geometry, held, samples, effects, seed)
+        self._tracer = PathTracer(scene.mi, geometry, held.materials, known=held, lights=lights)
+
+    @classmethod
+    def planned(cls, planned: PlannedScene, wanted: PathPlan) -> LampPaths:
+        """As a plan wants them."""
+        groups, seed = planned.lamps.groups, planned.settings.seed + 3
+        return cls(planned.scene, groups, wanted.samples, wanted.effects, seed)
+
+    def blocks(self, vertices: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+        """The receivers in blocks to trace."""
+        return self._first.blocks(vertices)
+
+    def trace(self, block: NDArray[np.int64]) -> BroughtLight:
+        """What comes to a block of receivers."""
+        import drjit as dr
+
+        samples = self._samples
+        sums, rays = np.zeros((2, self._groups, block.size, 3)), block.size * samples
+        gone = self._first.trace(block)
         if gone.lanes.size:
-            sampler = first.sampler(block, gone.lanes.size)
-            ends = tracer.follow(sampler, gone.ray, hit=gone.hit, medium=gone.medium, first_known=gone.first_known)
+            sampler = self._first.sampler(block, gone.lanes.size)
+            ends = self._tracer.follow(
+                sampler, gone.ray, hit=gone.hit, medium=gone.medium, first_known=gone.first_known
+            )
             dr.eval(ends.points, ends.found)  # together: the loop would run once for each
             rays += int(np.array(ends.points, dtype=np.int64).sum())
-            row = done + gone.lanes // samples
             half = (gone.lanes % samples >= samples // 2).astype(np.int64)
-            place = half * rows.size + row
+            place = half * block.size + gone.lanes // samples
             for number, colour in enumerate(ends.found[0]):
                 for channel, values in enumerate(colour):
-                    total = np.bincount(place, np.array(values, dtype=np.float64), minlength=2 * rows.size)
-                    sums[:, number, :, channel] += total.reshape(2, -1) / samples
-        done += block.size
-    return BroughtLight(rows, (sums[0] + sums[1]).astype(np.float32), (sums[0] - sums[1]).astype(np.float32), rays)
+                    total = np.bincount(place, np.array(values, dtype=np.float64), minlength=2 * block.size)
+                    sums[:, number, :, channel] = total.reshape(2, -1) / samples
+        first, second = sums
+        return BroughtLight(block, (first + second).astype(np.float32), (first - second).astype(np.float32), rays)
 
 
 class _HeldOrShining(HeldFaces):

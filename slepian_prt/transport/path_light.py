@@ -12,13 +12,13 @@ independent halves, whose difference tells the noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.scene.reflectance.path_effects import densest_glass
@@ -219,6 +219,16 @@ def trace_paths(
     for count in overlapped(blocks, rays.trace, lambda ends: result.add(ends, bandlimit)):
         advance(count)
     return result.finished()
+
+
+def join_light(parts: Sequence[PathLight]) -> PathLight:
+    """The light of blocks of receivers, as if they had been one."""
+    rows, escaped, error, halves = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("rows", "escaped", "escaped_error", "halves")
+    )
+    met = tuple(vstack(blocks, format="csr") for blocks in zip(*(part.met for part in parts), strict=True))
+    return PathLight(rows, escaped, error, met, halves, parts[0].brightest, sum(part.rays for part in parts))
 
 
 class LightSums:

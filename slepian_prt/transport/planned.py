@@ -30,6 +30,7 @@ from slepian_prt.transport.survey import Survey, SurveyedScene
 
 if TYPE_CHECKING:
     from slepian_prt.scene.loading import SceneSource
+    from slepian_prt.transport.by_workers.scene import RemoteScene
 
 log = logging.getLogger(__name__)
 
@@ -99,6 +100,8 @@ class PlannedScene:
     plan : Plan
     clock : Clock
     lamps : Lamps
+    remote : RemoteScene or None
+        The same scene at the workers that do its transport, if any; see `by_workers`.
     """
 
     settings: TransportSettings
@@ -106,6 +109,7 @@ class PlannedScene:
     plan: Plan
     clock: Clock
     lamps: Lamps
+    remote: RemoteScene | None = None
 
     def with_settings(self, **changes: Any) -> PlannedScene:
         """The same scene, planned with other settings than ``albedo`` and ``view``, with a clock of its own."""
@@ -113,7 +117,8 @@ class PlannedScene:
         settings = replace(self.settings, **changes)
         plan = self.survey.plan(settings.bandlimit, settings.samples, settings.effects, self.plan.view)
         plan = self.lamps.add_rows(plan, settings.samples)
-        return replace(self, settings=settings, plan=plan, clock=Clock(self.clock.seconds))
+        remote = None if self.remote is None else self.remote.with_plan(settings, plan)
+        return replace(self, settings=settings, plan=plan, clock=Clock(self.clock.seconds), remote=remote)
 
     def nodes(self, samples: float) -> int:
         """As of `Survey.nodes`."""
@@ -147,7 +152,12 @@ class PlannedScene:
 
     def estimator(self) -> Estimator[Any]:
         """What fills blocks of transfer vectors as planned, but for light between surfaces."""
-        return ESTIMATORS[self.plan.estimator](self.scene, self.settings, self.plan)
+        here = ESTIMATORS[self.plan.estimator](self.scene, self.settings, self.plan)
+        if self.remote is None:
+            return here
+        from slepian_prt.transport.by_workers.estimator import RemoteEstimator
+
+        return RemoteEstimator(here, self.remote)
 
 
 def _remark_on_closed(scene: Scene, shadows: Effect, seed: int) -> None:

@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.distributed.given import given_crew
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.scene.film import Film
@@ -19,6 +20,7 @@ from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
+from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.effects import SIMULATED, Effect
 from slepian_prt.transport.exchange import add_indirect, exchange_light
 from slepian_prt.transport.fixed_lights import direct_fixed_lights
@@ -161,6 +163,7 @@ def precompute(
     smooth: bool = True,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
+    client: Any = None,
 ) -> Transfer:
     """Transfer vectors of every vertex for distant light and diffuse surfaces.
 
@@ -198,6 +201,8 @@ def precompute(
         Given the effects plan before the heavy work begins.
     advance : callable
         Given (vertices finished since the last call, vertices in all).
+    client : distributed.Client, or address of a scheduler, optional
+        Whose workers do the work; the result is the same.
 
     Raises
     ------
@@ -209,8 +214,12 @@ def precompute(
     settings = TransportSettings(
         bandlimit, samples, effects, bounces, albedo, view, seed, crease_angle, parameters, smooth
     )
-    with plan_scene(scene, settings, on_plan) as planned:
-        return compute_transfer(planned, advance)
+    with (
+        given_crew(client) as crew,
+        plan_scene(scene, settings, on_plan) as planned,
+        by_workers(planned, crew, scene) as shared,
+    ):
+        return compute_transfer(shared, advance)
 
 
 def _work(planned: PlannedScene) -> int:

@@ -20,38 +20,34 @@ from slepian_prt.transport.estimator import overlapped
 from slepian_prt.transport.glossy import ReceiverBSDFs, toward_camera
 from slepian_prt.transport.held_faces import PATHS, Corners, HeldFaces
 from slepian_prt.transport.path_light import Ends, LightSums, PathLight
+from slepian_prt.transport.path_plan import first_directions
+from slepian_prt.transport.planned import PlannedScene
+from slepian_prt.transport.settings import TransportSettings
 
 _RAYS_PER_BLOCK = 1 << 19
 
 # Additive recurrence in three dimensions (Roberts 2018), by the root of x⁴ = x + 1.
 _STEPS = tuple(int(step * 2**32) for step in (0.8191725133961645, 0.6710436067037893, 0.5497004779019703))
 
+# Bounces toward a camera, where there is no limit to them.
+_MANY = 128
+
 # From 32 bits to [0, 1), so that rounding does not reach one.
 _UNIT = (1.0 - 2.0**-24) * 2.0**-32
 
 
-def trace_view_paths(
-    scene: Scene,
-    view: View,
-    samples: int,
-    bandlimit: int,
-    bounces: int,
-    seed: int,
-    advance: Callable[[int], None] = lambda _: None,
-) -> PathLight:
-    """Follow paths from all receivers that face the camera.
+def bounces_toward(settings: TransportSettings) -> int:
+    """Bounces toward a camera that are followed at most."""
+    return _MANY if settings.bounces is None else settings.bounces
+
+
+def trace_view_paths(planned: PlannedScene, report: Callable[[int], None]) -> PathLight:
+    """Follow paths from all receivers that face the camera of the plan.
 
     Parameters
     ----------
-    scene : Scene
-    view : View
-    samples : int
-        Of each receiver's BSDF, an even number.
-    bandlimit : int
-    bounces : int
-        That are followed at most.
-    seed : int
-    advance : callable
+    planned : PlannedScene
+    report : callable
         Given the number of vertices finished since its last call.
 
     Returns
@@ -59,17 +55,28 @@ def trace_view_paths(
     PathLight
         Whose S is nothing: no surface holds light toward other surfaces.
     """
-    rays = _ViewPaths(scene, view, samples, bounces, seed)
+    rays, bandlimit = ViewPaths.planned(planned), planned.settings.bandlimit
     blocks = rays.blocks()
     rows = np.concatenate([block for _, block in blocks])
-    sums = LightSums(rows, len(scene.receivers), 3, num_coefficients(bandlimit), 1.0)
+    sums = LightSums(rows, len(planned.scene.receivers), 3, num_coefficients(bandlimit), 1.0)
     for count in overlapped(blocks, lambda block: rays.trace(*block), lambda ends: sums.add(ends, bandlimit)):
-        advance(count)
+        report(count)
     return sums.finished()
 
 
-class _ViewPaths:
-    """Paths from blocks of receivers, each of one part of the scene."""
+class ViewPaths:
+    """Paths from blocks of receivers, each of one part of the scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    view : View
+    samples : int
+        Of each receiver's BSDF, an even number.
+    bounces : int
+        That are followed at most.
+    seed : int
+    """
 
     def __init__(self, scene: Scene, view: View, samples: int, bounces: int, seed: int) -> None:
         mi = scene.mi
@@ -79,6 +86,14 @@ class _ViewPaths:
         materials = HeldFaces(scene).materials
         self._tracer = PathTracer(mi, scene.geometry, materials, max_depth=bounces + 1)
         self._sampler = mi.load_dict({"type": "independent"})
+
+    @classmethod
+    def planned(cls, planned: PlannedScene) -> ViewPaths:
+        """As a plan with a view wants them."""
+        settings, view = planned.settings, planned.plan.view
+        assert view is not None
+        samples = first_directions(settings.samples)
+        return cls(planned.scene, view, samples, bounces_toward(settings), settings.seed + 1)
 
     def blocks(self) -> list[tuple[int, NDArray[np.int64]]]:
         """Numbers of parts, and some of their receivers."""
