@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import queue
 import ssl
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -124,10 +127,12 @@ def make_security(ca_file: str | None, cert: str | None, key: str | None) -> Sec
 
 def _connect(dask: ModuleType, client: Any, address: str, security: Any) -> Client:
     try:
+        if isinstance(client, str):
+            _ask(dask, address, security)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # versions are compared by us
             return dask.Client(client, security=security, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, TimeoutError) as error:
+    except (OSError, TimeoutError, asyncio.TimeoutError) as error:
         reason = f"no Dask scheduler answered at {address} within {_PATIENCE:.0f} s"
         if "ssl" in repr(error).lower() or "tls" in repr(error).lower():
             reason = f"the scheduler at {address} and we could not agree on TLS ({_short(error)})"
@@ -140,6 +145,30 @@ def _connect(dask: ModuleType, client: Any, address: str, security: Any) -> Clie
         raise UserError(
             f"{address}: is no address of a Dask scheduler ({_short(error)}); give one as tcp://HOST:8786"
         ) from None
+
+
+def _ask(dask: ModuleType, address: str, security: Any) -> None:
+    """Raise what keeps us from a scheduler; Dask's client would wait for ever for one that accepts and is silent."""
+
+    async def ask() -> None:
+        arguments = (security or dask.Security()).get_connection_args("client")
+        comm = await asyncio.wait_for(connect(address, timeout=_PATIENCE, **arguments), _PATIENCE)
+        await comm.close()
+
+    def answer() -> None:
+        try:
+            asyncio.run(ask())
+        except Exception as error:
+            answers.put(error)
+        else:
+            answers.put(None)
+
+    from distributed.comm import connect
+
+    answers: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
+    threading.Thread(target=answer, daemon=True).start()  # ours may have a loop already, as in a notebook
+    if fault := answers.get():
+        raise fault
 
 
 def _short(error: BaseException) -> str:

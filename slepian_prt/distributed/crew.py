@@ -67,9 +67,10 @@ def open_crew(
     sources = {"workers": workers, "client": client, "scheduler": scheduler, "scheduler_file": scheduler_file}
     given = [name for name, value in sources.items() if value is not None]
     if len(given) != 1:
+        named = " and ".join(f"`{name}`" for name in given)
         raise UserError(
-            f"{' and '.join(f'`{name}`' for name in given) or 'nothing'} is given; give one of `workers`, `client`, "
-            "`scheduler` and `scheduler_file`"
+            f"{f'{named} are' if given else 'nothing is'} given; give one of `workers`, `client`, `scheduler` and "
+            "`scheduler_file`"
         )
     from slepian_prt.renderer.variants import usable_variant
 
@@ -199,7 +200,7 @@ class Crew:
         try:
             for number in range(len(futures)):
                 self._watch(futures[number], number, finished)
-            self._roster.awaited = len(futures)
+            self._roster.awaited, self._roster.deaths = len(futures), 0
             while self._roster.awaited:
                 numbers = self._next(finished)
                 done = [number for number in numbers if self._is_done(futures[number], number, finished)]
