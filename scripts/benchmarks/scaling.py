@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import pickle
+import socket
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from dataclasses import dataclass, replace
@@ -12,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.common import DRAGONS, data_folder, line
+from benchmarks.common import DRAGONS, ROOT, data_folder, in_child, line
 
 from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.grouping import group_scene
@@ -42,6 +47,7 @@ def scaling() -> None:
         path = data_folder() / "meshes" / "skull.ply"
         print(f"no dragon is here (scripts/fetch_dragons); {path.name} instead")
     _strong(path)
+    _moved(path)
     for bandlimit in (10, _BANDLIMIT):
         costs = _measure(path, bandlimit)
         costs.tell(f"{path.stem}, L = {bandlimit}")
@@ -69,6 +75,77 @@ def _strong(path: Path) -> None:
     line(
         f"{path.stem}, L = 10: efficiency of two", f"{statistics.median(gains):.2f} ({min(gains):.2f}-{max(gains):.2f})"
     )
+
+
+# A client of workers that run, from the shell: what it holds beyond the scene, and what goes through the scheduler.
+_CLIENT = """
+import json, os, sys
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.distributed.crew import open_crew
+from slepian_prt.transport.settings import TransportSettings
+
+def memory(name):
+    return next(int(line.split()[1]) / 1024 for line in open("/proc/self/status") if line.startswith(name))
+
+def counted():
+    import importlib
+    return dict(importlib.import_module("benchmarks.traffic").counted)
+
+held = []
+with open_crew(scheduler={address!r}) as crew:
+    before = sum(crew.client.run_on_scheduler(counted).values())
+    packed = precompute_compressed(
+        {path!r}, CompressionSettings(), TransportSettings(10, {samples}), crew=crew,
+        on_plan=lambda _: held.append(memory("VmRSS")),
+    )
+    moved = sum(crew.client.run_on_scheduler(counted).values()) - before
+packed.save({output!r})
+print(json.dumps(dict(
+    vertices=packed.vertex_count, moved=moved, file=os.path.getsize({output!r}), beyond=memory("VmHWM") - held[0]
+)))
+"""
+
+
+def _moved(path: Path) -> None:
+    """Through a scheduler of its own, with two workers of its own, as on a cluster."""
+    address = f"tcp://127.0.0.1:{_free_port()}"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT / "scripts"), str(ROOT)])}
+    options: dict[str, Any] = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    port = address.rsplit(":", 1)[1]
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = [
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        port,
+        "--no-dashboard",
+        "--preload",
+        "benchmarks.traffic",
+    ]
+    workers = ["worker", address, "--nworkers", "2", "--nthreads", "1", "--no-dashboard"]
+    with tempfile.TemporaryDirectory() as folder:
+        running = [subprocess.Popen([*dask, *each], cwd=folder, **options) for each in (scheduler, workers)]
+        try:
+            code = _CLIENT.format(
+                address=address, path=str(path), samples=SAMPLES // 4, output=str(Path(folder) / "out.prt")
+            )
+            found = json.loads(in_child(code, str(ROOT)))
+        finally:
+            for process in running:
+                process.terminate()
+                process.wait()
+    count = found["vertices"]
+    through = f"{found['moved'] / count:.1f}; {found['file'] / count:.1f}"
+    line(f"{path.stem}, L = 10: bytes per vertex through the scheduler; of the file", through)
+    line(f"{path.stem}, L = 10: memory of the client beyond the scene", f"{found['beyond']:.0f} MB")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def _one_thread() -> None:
