@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from slepian_prt.paths.harmonics import sh_values, sum_paths
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from tests.numerics import assert_rounded
+from tests.variants import VARIANT
 
 
 @pytest.fixture(scope="module")
 def mi():
-    prepare_llvm()
     module = imported_mitsuba()
-    module.set_variant("llvm_ad_rgb")
+    module.set_variant(VARIANT)
     return module
 
 
