@@ -32,6 +32,7 @@ BENCHMARKS = {
     "transport": transport,
     "relighting": relighting,
     "runtime": runtime,
+    "gpu": gpu,
     "accuracy": accuracy,
     "paths": paths,
     "pages": pages,
@@ -40,7 +41,6 @@ BENCHMARKS = {
     "smoothing": smoothing,
     "all_views": all_views,
     "dragons": dragons,
-    "gpu": gpu,
 }
 
 

@@ -21,7 +21,6 @@ from scipy.sparse import csr_array
 
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
-from slepian_prt.transport.device.sparse import Product, product_with
 from slepian_prt.transport.directions import DirectionSet, direction_set
 from slepian_prt.transport.hemisphere import HemisphereRays
 
@@ -75,7 +74,10 @@ class Gather:
         return result
 
     @cached_property
-    def _product(self) -> Product:
+    def _product(self) -> Callable[[NDArray], NDArray]:
+        """What multiplies ``weights``."""
+        from slepian_prt.transport.device.sparse import product_with  # only here: few scenes have bounces
+
         return product_with(self.weights)
 
     def __getstate__(self) -> dict[str, object]:
