@@ -169,7 +169,7 @@ class VisibilityTracer(HemisphereRays):
 
 
 def may_leak(closed: Any, nodes: int) -> Any:
-    """Whether so few of the ``nodes`` are open that these may be leaks, by how many are closed; of any kind of array."""
+    """Whether so few of the ``nodes`` are open that they may be leaks, by how many are closed (any kind of array)."""
     return closed + _LEAKS >= nodes
 
 
