@@ -48,7 +48,7 @@ def _usable(wanted: str, name: str) -> str:
     ``name`` is what it was given as, for messages.
     """
     if not wanted:
-        if cuda_failure() == "":
+        if cuda_works():
             return "cuda_ad_rgb"
         prepare_llvm()
         return "llvm_ad_rgb"
@@ -78,6 +78,11 @@ def cuda_failure() -> str:
         return f"OptiX kills the process, signal {-run.returncode}"
     said = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     return said[-1][:200] if said else f"OptiX ends with exit status {run.returncode}"
+
+
+def cuda_works() -> bool:
+    """Whether a CUDA device is there and OptiX renders on it."""
+    return not cuda_failure()
 
 
 @contextmanager
