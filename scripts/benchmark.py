@@ -34,6 +34,7 @@ BENCHMARKS = {
     "transport": transport,
     "relighting": relighting,
     "runtime": runtime,
+    "gpu": gpu,
     "accuracy": accuracy,
     "datasets": datasets,
     "paths": paths,
@@ -44,7 +45,6 @@ BENCHMARKS = {
     "all_views": all_views,
     "dragons": dragons,
     "scaling": scaling,
-    "gpu": gpu,
 }
 
 

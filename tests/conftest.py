@@ -11,10 +11,29 @@ import numpy as np
 import pytest
 import trimesh
 
+from slepian_prt.errors import UserError
+from slepian_prt.renderer.variants import chosen_variant, cuda_failure, imported_mitsuba, usable_variant
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from tests.browser import open_chromium
 
 ROOT = Path(__file__).parent.parent
+
+
+def pytest_configure() -> None:
+    """A variant that was asked for and does not work here ends it all, in one line."""
+    try:
+        usable_variant()
+    except UserError as error:
+        pytest.exit(str(error), returncode=2)
+
+
+@pytest.fixture
+def cuda() -> Iterator[Any]:
+    """Mitsuba in cuda_ad_rgb; tests that need it are skipped where there is no device."""
+    if failure := cuda_failure():
+        pytest.skip(f"CUDA: {failure}")
+    with chosen_variant("cuda_ad_rgb"):
+        yield imported_mitsuba()
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import trimesh
 
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh, make_mesh
+from slepian_prt.transport.device.visibility import DeviceTracer
 from slepian_prt.transport.directions import direction_set
 from slepian_prt.transport.visibility import VisibilityTracer
 
@@ -22,15 +23,19 @@ def bumpy_sphere() -> Mesh:
 
 def rays_per_second(directions: int = 256, repeats: int = 3) -> float:
     """Median rate of rays such as transport traces: cosine-distributed from a surface."""
+    import drjit as dr  # not before Mitsuba, which knows where LLVM is
+
     mesh = bumpy_sphere()
     with open_scene(mesh) as scene:
         chosen = np.arange(0, len(mesh.positions), 4)
-        tracer = VisibilityTracer(scene, direction_set(directions), 0)
+        on_device = scene.mi.variant().startswith("cuda_")
+        tracer = (DeviceTracer if on_device else VisibilityTracer)(scene, direction_set(directions), 0)
         tracer.trace(chosen)  # compiles the kernel
         rates = []
         for _ in range(repeats):
             begin, before = time.perf_counter(), tracer.rays
             tracer.trace(chosen)
+            dr.sync_thread()
             rates.append((tracer.rays - before) / (time.perf_counter() - begin))
     return float(np.median(rates))
 

@@ -37,6 +37,10 @@ def sh_values(mi: Any, bandlimit: int, direction: Any) -> list[Any]:
 # Paths that are added in one go, between which the sums stay in registers.
 _UNROLLED = 4
 
+# Numbers in the harmonics of paths that are multiplied at a time on a graphics card, and receivers by one call.
+_NUMBERS = 1 << 26
+_MOST_RECEIVERS = 65535
+
 
 class PathSums(NamedTuple):
     """Sums over the paths of n receivers.
@@ -67,9 +71,17 @@ def sum_paths(mi: Any, bandlimit: int, ends: PathEnds, per_receiver: int) -> Pat
     """
     import drjit as dr
 
-    size = num_coefficients(bandlimit)
     β, direction = dr.select(ends.escaped, ends.throughput, 0.0), mi.Vector3f(ends.ray.d)
     dr.eval(β, direction)
+    by = sum_by_products if mi.variant().startswith("cuda_") else sum_by_loops
+    return by(mi, bandlimit, β, direction, per_receiver)
+
+
+def sum_by_loops(mi: Any, bandlimit: int, β: Any, direction: Any, per_receiver: int) -> PathSums:
+    """Each lane a receiver, whose hundreds of sums a processor keeps in its first-level cache."""
+    import drjit as dr
+
+    size = num_coefficients(bandlimit)
     count = dr.width(β) // per_receiver
     first = dr.arange(mi.UInt32, count) * dr.opaque(mi.UInt32, per_receiver)
     sums = [mi.Float(0.0) for _ in range(3 * size + 3)]
@@ -95,3 +107,31 @@ def sum_paths(mi: Any, bandlimit: int, ends: PathEnds, per_receiver: int) -> Pat
         dr.scatter(table, values, row + column, mode=dr.ReduceMode.NoConflicts)
     rows = np.array(table).reshape(count, len(sums))
     return PathSums(rows[:, : 3 * size].reshape(count, 3, size), rows[:, 3 * size :])
+
+
+def sum_by_products(mi: Any, bandlimit: int, β: Any, direction: Any, per_receiver: int) -> PathSums:
+    """Each lane a path, and a product of matrices for each receiver: no thread of a card has room for the sums."""
+    import drjit as dr
+
+    size, count = num_coefficients(bandlimit), dr.width(β) // per_receiver
+    vectors, squares = [], []
+    step = max(1, min(_MOST_RECEIVERS, _NUMBERS // (per_receiver * size)))
+    for begin in range(0, count, step):
+        some = min(step, count - begin)
+        path = dr.arange(mi.UInt32, some * per_receiver)
+        place = path + begin * per_receiver
+        values = sh_values(mi, bandlimit, dr.gather(mi.Vector3f, direction, place))
+        harmonics = dr.zeros(mi.Float, some * per_receiver * size)
+        for i, value in enumerate(values):
+            dr.scatter(harmonics, value, path * size + i, mode=dr.ReduceMode.NoConflicts)
+        receiver = path // dr.opaque(mi.UInt32, per_receiver)
+        carried, here = dr.zeros(mi.Float, 3 * some * per_receiver), dr.gather(mi.Color3f, β, place)
+        for c in range(3):
+            row = path + (2 * receiver + c) * per_receiver  # (3 receiver + c) per_receiver, and which of its paths
+            dr.scatter(carried, here[c], row, mode=dr.ReduceMode.NoConflicts)
+        sums: Any = dr.matmul(
+            mi.TensorXf(carried, (some, 3, per_receiver)), mi.TensorXf(harmonics, (some, per_receiver, size))
+        )
+        vectors.append(np.array(sums))
+        squares.append(np.array(dr.block_sum(dr.square(carried), per_receiver)).reshape(some, 3))
+    return PathSums(np.concatenate(vectors), np.concatenate(squares))

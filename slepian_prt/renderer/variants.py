@@ -48,17 +48,17 @@ def _usable(wanted: str, name: str) -> str:
     ``name`` is what it was given as, for messages.
     """
     if not wanted:
-        if cuda_failure() == "":
+        if cuda_works():
             return "cuda_ad_rgb"
         prepare_llvm()
         return "llvm_ad_rgb"
+    if wanted.startswith("llvm_"):
+        prepare_llvm()  # before Mitsuba is imported, which an LLVM that was named and does not work would kill
     known = [variant for variant in imported_mitsuba().variants() if _is_for_heavy_work(variant)]
     if wanted not in known:
         why = "traces one ray at a time" if wanted.startswith("scalar_") else "is not one that transport is traced in"
         raise UserError(f"{name} must be {' or '.join(known)}: {wanted!r} {why}")
-    if wanted.startswith("llvm_"):
-        prepare_llvm()
-    elif failure := cuda_failure():
+    if wanted.startswith("cuda_") and (failure := cuda_failure()):
         raise UserError(f"{name} must be one that works here, and {wanted} does not ({failure}): use llvm_ad_rgb")
     return wanted
 
@@ -78,6 +78,11 @@ def cuda_failure() -> str:
         return f"OptiX kills the process, signal {-run.returncode}"
     said = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     return said[-1][:200] if said else f"OptiX ends with exit status {run.returncode}"
+
+
+def cuda_works() -> bool:
+    """Whether a CUDA device is there and OptiX renders on it."""
+    return not cuda_failure()
 
 
 @contextmanager

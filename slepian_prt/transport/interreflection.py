@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple, Protocol
 
@@ -121,8 +122,18 @@ class Gather:
         """(V, k) light received from surfaces of one channel's ``albedo`` (V,) that shine by ``values`` (V, k)."""
         del channel  # all are alike
         result = np.zeros_like(values)
-        result[self.rows] = self.weights @ (albedo[:, None] * values)
+        result[self.rows] = self._product(albedo[:, None] * values)
         return result
+
+    @cached_property
+    def _product(self) -> Callable[[NDArray], NDArray]:
+        """What multiplies ``weights``."""
+        from slepian_prt.transport.device.sparse import product_with  # only here: few scenes have bounces
+
+        return product_with(self.weights)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in vars(self).items() if name != "_product"}  # another's card has it not
 
 
 def gather_operator(

@@ -20,9 +20,9 @@ _PRODUCTS = 1 << 17
 # Sizes of direction sets from one to twice that.
 SIZES_PER_OCTAVE = 8
 
-# Open directions of a receiver that are few enough to be leaks, and the rotation, of a thousandth, to beside them.
-LEAKS = 3
-BESIDE = turned_frames(np.array([[0.0, 0.0, 1.0]]), np.array([1e-3]))[0]
+# Open directions of a receiver that are few enough to be leaks, and how far beside them to look again, in radians.
+_LEAKS = 3
+_BESIDE = 1e-3
 
 
 def shadowed_vertices(scene: Scene) -> NDArray[np.bool_]:
@@ -165,14 +165,24 @@ class VisibilityTracer(HemisphereRays):
         same.
         """
         closed = blocked.view(np.uint8).sum(axis=0, dtype=np.uint32)
-        few_open = np.flatnonzero(closed + LEAKS >= self.directions.size)
+        few_open = np.flatnonzero(may_leak(closed, self.directions.size))
         node, which = np.nonzero(~blocked[:, few_open])
         if node.size == 0:
             return
         place = few_open[which]
-        rays = self.rays_from(vertices, frames @ BESIDE)
+        rays = self.rays_from(vertices, turned_aside(frames))
         ray = rays(self.mi.UInt32(place.astype(np.uint32)), self.mi.UInt32(node.astype(np.uint32)))
         blocked[node, place] = np.array(self.geometry.ray_test(ray))
+
+
+def may_leak(closed: Any, nodes: int) -> Any:
+    """Whether so few of the ``nodes`` are open that they may be leaks, by how many are closed (any kind of array)."""
+    return closed + _LEAKS >= nodes
+
+
+def turned_aside(frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Frames in which the directions lie right beside those in frames (n, 3, 3)."""
+    return frames @ turned_frames(np.array([[0.0, 0.0, 1.0]]), np.array([_BESIDE]))[0]
 
 
 def bisected(mi: Any, geometry: Any, rays: Callable[[Any, Any], Any], place: Any, first: Any, as_at_begin: Any) -> Any:

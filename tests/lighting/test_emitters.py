@@ -18,10 +18,11 @@ from slepian_prt.lighting.emitters import (
 from slepian_prt.lighting.environment import about_up, make_environment
 from slepian_prt.lighting.projection import lighting_at, project_environment
 from slepian_prt.lighting.texel_projection import TexelProjection
-from slepian_prt.renderer.variants import imported_mitsuba, mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba, mitsuba
 from slepian_prt.scene.mitsuba.files import silent
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from tests.numerics import assert_exact
+from tests.variants import sibling
 
 UP_Y = [1.0, 0.0, 0.0], -90.0  # from the z of skies to the y of maps
 
@@ -31,7 +32,6 @@ def any_variant():
     """Mitsuba, for tests that set variants; that of before comes back."""
     module = imported_mitsuba()
     before = module.variant()
-    prepare_llvm()
     yield module
     module.set_variant(before or "scalar_rgb")
 
@@ -271,7 +271,7 @@ def test_a_map_of_one_column_in_the_integrator():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variant", ["llvm_ad_mono", "llvm_ad_spectral"])
+@pytest.mark.parametrize("variant", [sibling("ad_mono"), sibling("ad_spectral")])
 def test_other_variants(variant, any_variant, rng):
     """The integrator and the projection take the same light from a map, and from a sky where there is one."""
     from slepian_prt.relighting.mitsuba.emission import distant_light
@@ -279,7 +279,7 @@ def test_other_variants(variant, any_variant, rng):
     mi = any_variant
     mi.set_variant(variant)
     emitters = [{"type": "envmap", "bitmap": mi.Bitmap(rng.random((8, 8, 3)).astype(np.float32))}]
-    if variant == "llvm_ad_spectral":
+    if variant == sibling("ad_spectral"):
         emitters.append({"type": "sunsky", "sun_direction": toward(40.0).tolist(), "turbidity": 4.0})
     for emitter in map(mi.load_dict, emitters):
         found = np.array(distant_light(mi, emitter, 4, np.eye(3))).reshape(3, -1)

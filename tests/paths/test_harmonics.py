@@ -5,17 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from slepian_prt.paths import harmonics
 from slepian_prt.paths.harmonics import sh_values, sum_paths
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba
 from slepian_prt.sphere.harmonics import degrees, real_sh
 from tests.numerics import assert_rounded
+from tests.variants import VARIANT
 
 
 @pytest.fixture(scope="module")
 def mi():
-    prepare_llvm()
     module = imported_mitsuba()
-    module.set_variant("llvm_ad_rgb")
+    module.set_variant(VARIANT)
     return module
 
 
@@ -52,3 +53,20 @@ def test_sums_are_those_of_numpy(per_receiver, mi):
     largest = float((np.abs(counted[..., None]) * np.abs(values[:, :, None])).sum(axis=1).max())
     assert_rounded(sums.vectors, np.einsum("npc,npm->ncm", counted, values).astype(np.float32), terms, largest)
     assert_rounded(sums.squares, np.square(counted).sum(axis=1).astype(np.float32), terms)
+
+
+@pytest.mark.parametrize("numbers", [1, 1 << 26])
+@pytest.mark.parametrize("bandlimit", [0, 4])
+def test_products_and_loops_are_the_same_sums(bandlimit, numbers, mi, monkeypatch):
+    """One receiver at a time, or all of them."""
+    monkeypatch.setattr(harmonics, "_NUMBERS", numbers)
+    rng, count, per_receiver = np.random.default_rng(3), 5, 12
+    carried = mi.Color3f(rng.random((3, count * per_receiver)).astype(np.float32))
+    direction = mi.Vector3f(directions(count * per_receiver).T)
+    wanted, found = (
+        by(mi, bandlimit, carried, direction, per_receiver)
+        for by in (harmonics.sum_by_loops, harmonics.sum_by_products)
+    )
+    for one, other in zip(found, wanted, strict=True):
+        assert one.shape == other.shape
+        assert_rounded(one, other, per_receiver, size=float(per_receiver) * (bandlimit + 1))

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from slepian_prt.paths.lobes import MaterialTable, Remainder
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba
+from tests.variants import VARIANT
 
 
 @pytest.fixture(scope="module")
 def mi():
-    prepare_llvm()
     module = imported_mitsuba()
-    module.set_variant("llvm_ad_rgb")
+    module.set_variant(VARIANT)
     return module
 
 

@@ -6,9 +6,10 @@ import pytest
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.paths.media import Media, media_of, medium_at
 from slepian_prt.paths.tracer import PathTracer
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba
 from tests.paths.test_tracer import BANDLIMIT, DIFFUSE, RUNS, SAMPLES, SIZE, relit, smooth_map
 from tests.statistics import assert_agree
+from tests.variants import VARIANT
 
 COUNT = 1 << 16
 EXTINCTION, ALBEDO = np.array([0.2, 1.0, 3.0]), np.array([0.9, 0.5, 0.7])
@@ -17,9 +18,8 @@ NULL = {"type": "null"}
 
 @pytest.fixture(scope="module")
 def mi():
-    prepare_llvm()
     module = imported_mitsuba()
-    module.set_variant("llvm_ad_rgb")
+    module.set_variant(VARIANT)
     return module
 
 

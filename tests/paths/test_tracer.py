@@ -6,10 +6,11 @@ import pytest
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.paths.harmonics import sum_paths
 from slepian_prt.paths.tracer import PathTracer
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba
 from slepian_prt.sphere.harmonics import real_sh
 from tests.lighting.test_environment import grid_directions
 from tests.statistics import assert_agree
+from tests.variants import VARIANT
 
 BANDLIMIT, SIZE, SAMPLES, RUNS = 2, 8, 64, 12
 RED = {"type": "rgb", "value": [0.7, 0.3, 0.1]}
@@ -30,9 +31,8 @@ MATERIALS = {
 
 @pytest.fixture(scope="module")
 def mi():
-    prepare_llvm()
     module = imported_mitsuba()
-    module.set_variant("llvm_ad_rgb")
+    module.set_variant(VARIANT)
     return module
 
 

@@ -29,6 +29,7 @@ def test_a_library_that_kills_the_process_is_survived(memory, tmp_path, monkeypa
     if os.system(f"cc -shared -fPIC -o {library} {source} 2>/dev/null") != 0:
         pytest.skip("no C compiler to make a library that aborts")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
+    monkeypatch.setenv("SLEPIAN_PRT_VARIANT", "llvm_ad_rgb")
     path, tried = llvm.find()
     assert path is None
     _usable.cache_clear()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.transport.hemisphere import HemisphereRays, divided, pairs
-from slepian_prt.transport.visibility import BESIDE, LEAKS, bisected
+from slepian_prt.transport.visibility import bisected, may_leak, turned_aside
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class DeviceTracer(HemisphereRays):
 
         mi, size = self.mi, self.directions.size
         closed = dr.block_sum(dr.select(blocked, mi.UInt32(1), 0), size)
-        few_open = dr.compress(closed + LEAKS >= size)
+        few_open = dr.compress(may_leak(closed, size))
         if dr.width(few_open) == 0:
             return blocked
         which, node = pairs(mi, dr.width(few_open), size)
@@ -87,6 +87,6 @@ class DeviceTracer(HemisphereRays):
             return blocked
         which, node, lane = (dr.gather(mi.UInt32, values, is_open) for values in (which, node, lane))
         some = np.array(few_open).astype(np.int64)
-        rays = self.rays_from(vertices[some], frames[some] @ BESIDE)
+        rays = self.rays_from(vertices[some], turned_aside(frames[some]))
         dr.scatter(blocked, self.geometry.ray_test(rays(which, node)), lane, mode=dr.ReduceMode.NoConflicts)
         return blocked

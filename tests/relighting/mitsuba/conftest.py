@@ -7,8 +7,9 @@ import pytest
 import trimesh
 
 import slepian_prt as sp
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba
 from tests.conftest import bumpy
+from tests.variants import VARIANT
 
 
 @pytest.fixture
@@ -16,8 +17,7 @@ def mi():
     """Mitsuba in an LLVM variant with the integrator registered; the variant of before comes back."""
     module = imported_mitsuba()
     before = module.variant()
-    prepare_llvm()
-    module.set_variant("llvm_ad_rgb")
+    module.set_variant(VARIANT)
     sp.register()
     yield module
     module.set_variant(before or "scalar_rgb")

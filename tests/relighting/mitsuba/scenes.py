@@ -5,13 +5,11 @@ import numpy as np
 import slepian_prt as sp
 from slepian_prt.sphere.harmonics import real_sh
 from tests.lighting.test_environment import grid_directions
+from tests.variants import VARIANT, sibling
 
 VARIANTS = [
-    "llvm_ad_rgb",
-    "llvm_ad_mono",
-    "llvm_ad_mono_polarized",
-    "llvm_ad_spectral",
-    "llvm_ad_spectral_polarized",
+    VARIANT,
+    *map(sibling, ("ad_mono", "ad_mono_polarized", "ad_spectral", "ad_spectral_polarized")),
 ]
 
 

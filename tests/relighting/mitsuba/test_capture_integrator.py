@@ -9,6 +9,7 @@ from slepian_prt.lighting.formats.coefficient_layers import channel_names
 from slepian_prt.lighting.projection import project_environment
 from tests.statistics import assert_agree
 from tests.transport.capturing.scenes import BANDLIMIT, camera, film, llvm_mitsuba, open_box, smooth_map, under
+from tests.variants import VARIANT, sibling
 
 RUNS, SAMPLES = 8, 64
 
@@ -71,14 +72,14 @@ def test_numbers_out_of_range(asked, told, mi):
 
 
 def test_other_variants(mi):
-    for variant in ("scalar_rgb", "llvm_ad_spectral"):
+    for variant in ("scalar_rgb", sibling("ad_spectral")):
         if variant in mi.variants():
             mi.set_variant(variant)
             try:
                 with pytest.raises(RuntimeError, match="slepian_prt_capture needs an"):
                     mi.load_dict({"type": "slepian_prt_capture"})
             finally:
-                mi.set_variant("llvm_ad_rgb")
+                mi.set_variant(VARIANT)
 
 
 def test_a_scene_file_may_name_it(mi, tmp_path):

@@ -12,6 +12,7 @@ from slepian_prt.scene.mesh import make_mesh
 from tests.conftest import sphere
 from tests.relighting.mitsuba.scenes import VARIANTS, camera, picture, runs
 from tests.statistics import assert_agree, in_blocks
+from tests.variants import VARIANT
 
 FLOOR = np.array([[-2.0, 0.0, -2.0], [-2.0, 0.0, 2.0], [2.0, 0.0, 2.0], [2.0, 0.0, -2.0]])
 SQUARE = np.array([[0, 1, 2], [0, 2, 3]])
@@ -144,7 +145,7 @@ def test_gathering_in_all_variants(variant, mi, floor):
     scene = above_floor(mi, file, things, {"type": "constant"})
     own = scene_integrator(mi, packed, albedo="scene")
     pixels = np.array(mi.render(scene, integrator=own, spp=256, seed=1))[..., :3].mean(axis=(0, 1))
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     scene = above_floor(mi, file, things, {"type": "constant"})
     wanted = np.array(mi.render(scene, integrator=scene_integrator(mi, packed, albedo="scene"), spp=256, seed=1))
     np.testing.assert_allclose(pixels, np.resize(wanted.mean(axis=(0, 1)), pixels.shape), rtol=0.02)

@@ -30,6 +30,7 @@ from tests.relighting.mitsuba.scenes import (
     sky,
 )
 from tests.statistics import assert_agree, assert_same_picture, in_blocks
+from tests.variants import VARIANT, sibling
 
 # --- Pictures --------------------------------------------------------------------------------------------------------
 
@@ -244,21 +245,21 @@ def test_switching_variants_back_and_forth(mi, folder):
 def test_a_variant_switched_between_load_and_render(mi, folder):
     scene = loaded(mi, folder)
     before = picture(mi, scene)
-    mi.set_variant("llvm_ad_mono")
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(sibling("ad_mono"))
+    mi.set_variant(VARIANT)
     assert_rounded(picture(mi, scene), before, terms=SPP)
 
 
 def test_registering_before_a_variant_is_set():
-    code = """
+    code = f"""
 import slepian_prt
 slepian_prt.register()
 slepian_prt.register()
 import mitsuba as mi
-for variant in ("llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_rgb"):
+for variant in {(VARIANT, sibling("ad_mono"), VARIANT)}:
     mi.set_variant(variant)
     try:
-        mi.load_dict({"type": "slepian_prt"})
+        mi.load_dict({{"type": "slepian_prt"}})
     except RuntimeError as error:
         print("needs a parameter 'transfer'" in str(error))
 """

@@ -9,6 +9,7 @@ from slepian_prt.relighting.mitsuba.scene_integrator import scene_integrator
 from tests.relighting.mitsuba.scenes import VARIANTS, camera, runs
 from tests.relighting.mitsuba.test_gathering import SHINE, above_floor, ball, constant_lighting, floor  # noqa: F401
 from tests.statistics import assert_agree, in_blocks
+from tests.variants import VARIANT
 
 NULL = {"type": "null"}
 
@@ -173,6 +174,6 @@ def test_media_in_all_variants(variant, mi, floor):  # noqa: F811
         own = scene_integrator(mi, packed, albedo="scene")
         return np.array(mi.render(scene, integrator=own, spp=256, seed=1))[..., :3].mean(axis=(0, 1))
 
-    wanted = mean("llvm_ad_rgb")
+    wanted = mean(VARIANT)
     found = mean(variant)
     np.testing.assert_allclose(found, np.resize(wanted, found.shape), rtol=0.02)

@@ -62,10 +62,10 @@ def test_no_garbage_is_collected_while_a_picture_is_recorded(mi, folder, monkeyp
 # Without the above: "invalid redefinition of function", and the process is aborted.
 _DRAW = """
 import gc, sys
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
-prepare_llvm()
+from slepian_prt.renderer.variants import imported_mitsuba
 mi = imported_mitsuba()
-mi.set_variant("llvm_ad_rgb")
+from tests.variants import VARIANT
+mi.set_variant(VARIANT)
 import drjit as dr, slepian_prt as sp
 from pathlib import Path
 from slepian_prt.relighting.mitsuba.lobes import Material

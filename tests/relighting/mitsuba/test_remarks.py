@@ -17,6 +17,7 @@ from slepian_prt.transport.effects import Effect
 from tests.conftest import bumpy
 from tests.relighting.mitsuba.scenes import camera, envmap, loaded, packed_of, painted, picture, shape, sky
 from tests.statistics import assert_same_picture
+from tests.variants import sibling
 
 # --- Remarks and refusals --------------------------------------------------------------------------------------------
 
@@ -170,7 +171,7 @@ def test_loading_beside_plugins_that_read_files(mi, folder):
 
 def test_spectra_are_those_of_the_colour(mi):
     """Linear sRGB of the spectrum, integrated finely, is what it was made of."""
-    mi.set_variant("llvm_ad_spectral")
+    mi.set_variant(sibling("ad_spectral"))
     weights = smooth_spectra(mi)
     wavelengths = np.arange(360.0, 830.5, 0.5)
     matching = np.array([np.array(part) for part in mi.cie1931_xyz(mi.Float(wavelengths.astype(np.float32)))])

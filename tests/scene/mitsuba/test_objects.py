@@ -11,6 +11,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.renderer.variants import imported_mitsuba, usable_variant
 from slepian_prt.scene.loading import open_scene
 from tests.numerics import assert_exact, assert_rounded
+from tests.variants import sibling
 
 SMALL = {"bandlimit": 2, "samples": 16}
 SAMPLES = 4  # of a pixel
@@ -227,7 +228,7 @@ def test_the_variant_of_a_scene_is_used_and_that_of_the_user_comes_back(mi, monk
     assert mi.variant() == "scalar_rgb"
 
 
-@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral"])
+@pytest.mark.parametrize("variant", ["scalar_rgb", sibling("ad_mono"), sibling("ad_spectral")])
 def test_variants_that_cannot_be_used(variant, mi):
     mi.set_variant(variant)
     scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
+from slepian_prt.renderer.variants import imported_mitsuba
 from slepian_prt.sphere.harmonics import real_sh
 from tests.lighting.test_environment import grid_directions
+from tests.variants import VARIANT
 
 BANDLIMIT, ROWS = 2, 96
 WHITE = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.75, 0.7, 0.6]}}}
@@ -14,9 +15,8 @@ RED = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "
 
 
 def llvm_mitsuba():
-    prepare_llvm()
     module = imported_mitsuba()
-    module.set_variant("llvm_ad_rgb")
+    module.set_variant(VARIANT)
     return module
 
 

@@ -25,6 +25,7 @@ from tests.transport.capturing.scenes import (
     smooth_map,
     under,
 )
+from tests.variants import VARIANT, sibling
 
 RUNS, SAMPLES = 6, 64
 
@@ -298,7 +299,7 @@ def test_a_camera_that_sees_nothing(mi, caplog):
     assert made.mesh.receivers.active.all()
 
 
-@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_spectral"])
+@pytest.mark.parametrize("variant", ["scalar_rgb", sibling("ad_spectral")])
 def test_scenes_of_other_variants(variant, mi):
     if variant not in mi.variants():
         pytest.skip("the wheel has no such variant")
@@ -308,7 +309,7 @@ def test_scenes_of_other_variants(variant, mi):
         with pytest.raises(UserError, match=f"was loaded in the variant {variant}"):
             capture(scene)
     finally:
-        mi.set_variant("llvm_ad_rgb")
+        mi.set_variant(VARIANT)
 
 
 @pytest.mark.parametrize("power", [np.ones(4), [1.0, np.nan], [1.0, -1.0], [0.0, 0.0], []])
