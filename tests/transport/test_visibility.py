@@ -90,11 +90,11 @@ def test_nodes_leave_room_for_bisection(samples, changes):
 
 
 def test_sizes_of_sets_are_few():
-    """Scenes that are much alike share a set: 16 sizes to an octave, as many as there are where that is fewer."""
+    """Scenes that are much alike share a set: eight sizes to an octave, and never more than is paid for."""
     sizes = {nodes_for(samples + 0.5, 0.0) for samples in range(512, 1024)}
     assert len(sizes) <= SIZES_PER_OCTAVE + 1
     assert all(nodes_for(size + 0.5, 0.0) == size for size in sizes)
-    assert {nodes_for(samples + 0.5, 0.0) for samples in range(8, 16)} == set(range(8, 16))
+    assert all(nodes_for(samples + 0.5, 0.0) <= samples for samples in range(8, 2048))
 
 
 @pytest.mark.parametrize("receivers", [1, 7, 8, 9, 100])
