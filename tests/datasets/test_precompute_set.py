@@ -13,8 +13,12 @@ import numpy as np
 import pytest
 
 import slepian_prt as sp
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.datasets.by_workers import mapped_by
+from slepian_prt.datasets.jobs import ScanSettings
+from slepian_prt.datasets.precompute_set import run_set
 from slepian_prt.datasets.records import NAME
-from slepian_prt.datasets.scan import precompute_scan
+from slepian_prt.transport.settings import TransportSettings
 from tests.datasets.obj_as_theirs import read_icon, read_pifu, read_triangles
 from tests.datasets.scans import bent_ball, write_ball, write_obj
 from tests.numerics import assert_exact
@@ -161,18 +165,37 @@ def test_what_killed_processes_left_is_gone(tmp_path):
     assert all(partial.exists() for partial in others)
 
 
-def test_jobs_can_be_done_elsewhere_in_any_order(scans, tmp_path):
-    """The function, jobs and results are pickled; the results of a pool come as they are ready."""
+class Elsewhere:
+    """A crew that does its tasks in another folder, the last first; what goes back and forth is pickled."""
 
-    def mapped(function, jobs):
-        sent = pickle.loads(pickle.dumps((function, list(jobs))))
-        for job in reversed(sent[1]):
-            yield pickle.loads(pickle.dumps(sent[0](job)))
+    def submit(self, function, items, shared=None, *, key=None):
+        return [pickle.dumps((function, item)) for item in items]
 
-    results = sp.precompute_set(scans, tmp_path / "out", mapped=mapped, **SMALL)
+    def results(self, futures):
+        for number in reversed(range(len(futures))):
+            function, item = pickle.loads(futures[number])
+            here = os.getcwd()
+            os.chdir("/")
+            try:
+                made = function(None, item)
+            finally:
+                os.chdir(here)
+            yield number, pickle.loads(pickle.dumps(made))
+
+
+def test_scans_are_done_by_workers(scans, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    settings = ScanSettings(
+        transport=TransportSettings(bandlimit=2, samples=16), compression=CompressionSettings(clusters=4)
+    )
+    told = []
+    results = run_set(["a.obj", "b.obj", "c.obj"], "out", settings, told.append, mapped_by(Elsewhere()))
     assert [result.name for result in results] == ["a", "b", "c"]
+    assert [result.source for result in told] == ["c.obj", "b.obj", "a.obj"]
     assert [line["name"] for line in lines(tmp_path / "out")] == ["a", "b", "c"]
-    assert precompute_scan.__module__ == "slepian_prt.datasets.scan"
+    assert all((tmp_path / "out" / f"{name}.prt").is_file() for name in "abc")
+    again = run_set(["a.obj", "b.obj", "c.obj"], "out", settings)
+    assert made(again) == []
 
 
 def test_notes_are_those_of_the_scan(scans, tmp_path):
