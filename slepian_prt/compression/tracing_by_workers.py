@@ -270,6 +270,7 @@ def trace_by_workers(
                 interior = find_interior_among(planned, [fact.dark for fact in facts])
                 pieces = _assemble(crew, job, cut, blocks, split_interior(projection, cut, interior))
                 caps = RemoteCaps(crew, job, cut, pieces, projection)
+                del blocks  # the pieces have them; what dies is made again from the journal
                 wider = widen(projection, caps)
                 if wider is None:
                     fixed, fixed_rays = trace_fixed_lights(planned, interior)
