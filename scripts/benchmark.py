@@ -18,6 +18,7 @@ from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.startup import startup
 from benchmarks.transport import dragons, transport
+from benchmarks.workers import workers
 
 BENCHMARKS = {
     "sphere": sphere,
@@ -34,6 +35,7 @@ BENCHMARKS = {
     "page_pictures": page_pictures,
     "smoothing": smoothing,
     "all_views": all_views,
+    "workers": workers,
     "dragons": dragons,
 }
 

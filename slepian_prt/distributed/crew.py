@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 # Results that are fetched at a time, so that many finished ones are not all here at once.
 _BATCH = 16
 
+# Seconds between looks at the workers while results come in.
+_LOOK = 5.0
+
 # Times that a value is brought to workers that die meanwhile.
 _ATTEMPTS = 5
 
@@ -105,6 +108,7 @@ class Crew:
         self._futures: weakref.WeakSet[Future] = weakref.WeakSet()
         self._values: dict[Shared, Any] = {}
         self._brought: dict[Shared, Future] = {}
+        self._next_look = 0.0
 
     @property
     def count(self) -> int:
@@ -237,13 +241,16 @@ class Crew:
 
     def _next(self, finished: queue.SimpleQueue[int]) -> list[int]:
         """Numbers of tasks that have ended, once there are any."""
-        while True:
+        numbers: list[int] = []
+        while not numbers:
             with contextlib.suppress(queue.Empty):
-                numbers = [finished.get(timeout=GLANCE)]
-                while len(numbers) < _BATCH and not finished.empty():
-                    numbers.append(finished.get())
-                return numbers
-            self.client.sync(self._roster.check)
+                numbers.append(finished.get(timeout=GLANCE))
+            if not numbers or time.monotonic() > self._next_look:
+                self.client.sync(self._roster.check)
+                self._next_look = time.monotonic() + _LOOK
+        while len(numbers) < _BATCH and not finished.empty():
+            numbers.append(finished.get())
+        return numbers
 
     def _is_done(self, future: Future, number: int, finished: queue.SimpleQueue[int]) -> bool:
         """Whether there is a result; if what stood against it can be put right, it is done again."""

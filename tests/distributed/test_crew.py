@@ -200,6 +200,18 @@ def test_a_worker_that_joins_late_gets_what_no_other_could_do(cluster):
         assert crew.gather(futures) == [0.0] * 3
 
 
+def test_a_worker_of_whom_nobody_heard_is_seen(cluster, monkeypatch):
+    """One that joins between the first look and the first news of others."""
+
+    async def hear_nothing(self: roster.Roster, event: tuple) -> None:
+        pass
+
+    monkeypatch.setattr(roster.Roster, "_hear", hear_nothing)
+    with open_crew(client=cluster) as crew:
+        cluster.scale(2)
+        assert wait_until(lambda: crew.count == 2)
+
+
 def test_no_worker_is_left(cluster, monkeypatch):
     monkeypatch.setattr("slepian_prt.distributed.crew.GLANCE", 0.02)
     monkeypatch.setattr(roster, "_PATIENCE", {False: 0.05})
