@@ -1,4 +1,4 @@
-"""Where Dask's scheduler or our client becomes the limit: recorded work is replayed by up to 64 workers on a machine."""
+"""Where Dask's scheduler or our client becomes the limit: recorded work, replayed by up to 64 workers."""
 
 from __future__ import annotations
 
