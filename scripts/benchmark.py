@@ -14,6 +14,7 @@ from benchmarks.pages import pages
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.runtime import runtime
+from benchmarks.scaling import scaling
 from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.startup import startup
@@ -37,6 +38,7 @@ BENCHMARKS = {
     "all_views": all_views,
     "workers": workers,
     "dragons": dragons,
+    "scaling": scaling,
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -116,16 +117,42 @@ def write_all(folder: Path, files: dict[str, bytes]) -> None:
 def locked_cache_file(name: str) -> IO[bytes] | None:
     """A file of the user's cache folder, or of SLEPIAN_PRT_CACHE, that no other process has while it is open.
 
-    None without a folder that can be written, or while another process has it. Files of its kind that are two weeks
-    old are removed.
+    None without a folder that can be written, or while another process has it. What is of its kind and two weeks old is
+    removed.
     """
-    folder = Path(os.environ.get("SLEPIAN_PRT_CACHE") or platformdirs.user_cache_path("slepian_prt"))
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _forget_stale(folder, Path(name).suffix)
-        file = (folder / name).open("a+b")
+        return _locked(_cache_folder(Path(name).suffix) / name)
     except OSError:
         return None
+
+
+@contextlib.contextmanager
+def locked_cache_folder(name: str) -> Iterator[Path | None]:
+    """A folder as `locked_cache_file` has files, removed when the with-block ends well and kept when it does not."""
+    try:
+        folder = _cache_folder(Path(name).suffix) / name
+        folder.mkdir(mode=0o700, exist_ok=True)
+        lock = _locked(folder / "lock")
+    except OSError:
+        lock = None
+    if lock is None:
+        yield None
+        return
+    with lock:
+        yield folder
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _cache_folder(suffix: str) -> Path:
+    folder = Path(os.environ.get("SLEPIAN_PRT_CACHE") or platformdirs.user_cache_path("slepian_prt"))
+    folder.mkdir(parents=True, exist_ok=True)
+    _forget_stale(folder, suffix)
+    return folder
+
+
+def _locked(path: Path) -> IO[bytes] | None:
+    """The file, open to append; None while another process has it."""
+    file = path.open("a+b")
     try:
         import fcntl
 
@@ -142,4 +169,4 @@ def _forget_stale(folder: Path, suffix: str) -> None:
     for path in folder.glob(f"*{suffix}"):
         with contextlib.suppress(OSError):
             if time.time() - path.stat().st_mtime > _STALE_SECONDS:
-                path.unlink()
+                shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -74,7 +74,7 @@ class Pilot:
         samples = tuning.samples if goal.samples is None else (goal.samples,)
         bandlimits = tuning.bandlimits if goal.bandlimit is None else (goal.bandlimit,)
         model = CostModel(
-            {s: planned.survey.nodes(s) for s in samples},
+            {s: planned.nodes(s) for s in samples},
             receivers=len(planned.scene.mesh.receivers),
             shadowed=planned.plan.shadowed.size,
             tried=self._vertices.size,

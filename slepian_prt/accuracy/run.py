@@ -23,13 +23,8 @@ from slepian_prt.compression.bases import BASES
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import (
-    Projected,
-    encode_planned,
-    encode_transfer,
-    project_transfer,
-    trace_and_project,
-)
+from slepian_prt.compression.stream import encode_planned, encode_transfer, project_transfer, trace
+from slepian_prt.compression.tracing import Projected
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.vertex_error import ErrorMetric
 from slepian_prt.transport.effects import Effect
@@ -37,6 +32,7 @@ from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 
 if TYPE_CHECKING:
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.scene.loading import SceneSource
 
 
@@ -71,6 +67,7 @@ def precompute_within(
     advance: Callable[[int, int], None] = lambda _done, _total: None,
     report: Callable[[str], None] = lambda _: None,
     tuning: SearchTuning = TUNING,
+    crew: Crew | None = None,
 ) -> BudgetedResult:
     """Transfer of a scene with rays, bandlimit and tolerance chosen for a wanted error or time.
 
@@ -91,6 +88,7 @@ def precompute_within(
     on_choice : given what could be chosen, the choice, and the seconds that everything else takes
     advance, report : as of `precompute_compressed`
     tuning : SearchTuning
+    crew : as of `precompute_compressed`
 
     Raises
     ------
@@ -99,7 +97,7 @@ def precompute_within(
     """
     goal.check()
     _check(settings)
-    hooks = _Hooks(on_plan, on_choice, advance, report)
+    hooks = _Hooks(on_plan, on_choice, advance, report, scene, crew)
     started = time.perf_counter() if started is None else started
     with plan_scene(scene, transport) as planned:
         light = _resolve(light, planned)
@@ -133,12 +131,14 @@ def precompute_within(
 
 @dataclass(frozen=True)
 class _Hooks:
-    """What is told of the progress; as of `precompute_within`."""
+    """What is told of the progress, and who does the work; as of `precompute_within`."""
 
     on_plan: Callable[[tuple[Effect, ...]], None]
     on_choice: Callable[[Sequence[Choice], Choice, float], None]
     advance: Callable[[int, int], None]
     report: Callable[[str], None]
+    scene: SceneSource
+    crew: Crew | None
 
 
 def _check(settings: CompressionSettings) -> None:
@@ -226,7 +226,7 @@ def _precompute(pilot: Pilot, choice: Choice, reviews: int, hooks: _Hooks, tunin
         encode = partial(encode_transfer, transfer, started=begin)
         return _encode(encode, project_transfer(transfer, learned), pilot.metric, choice, reviews, hooks.report, tuning)
     source = pilot.source(choice.samples, choice.bandlimit)
-    with trace_and_project(planned, source, learned, hooks.advance) as projected:
+    with trace(planned, source, learned, hooks.scene, hooks.crew, hooks.advance) as projected:
         encode = partial(encode_planned, planned)
         return _encode(encode, projected, pilot.metric, choice, reviews, hooks.report, tuning)
 

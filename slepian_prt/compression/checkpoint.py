@@ -1,31 +1,35 @@
 """Coefficients of all receivers between tracing and coding: in memory, or in a journal on disk.
 
-Receivers come in blocks along the surface and are wanted cap by cap. A journal keeps each finished block with a
-checksum, so that work that was killed goes on where it was: blocks that are whole are kept, all others done again.
+Receivers come in blocks along the surface and are wanted cap by cap. A journal keeps each finished block in a file of
+its own, with a checksum, so that work that was killed goes on where it was: blocks that are whole are kept, all others
+done again. Several processes may keep blocks of the same job there.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 import logging
+import mmap
+import os
 import struct
 import tempfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.files import locked_cache_file
+from slepian_prt.files import locked_cache_folder
 
 log = logging.getLogger(__name__)
 
-_HEADER = struct.Struct("<4sIQQQI")  # mark, number of the block, vertices, coefficients, rays, checksum
-_MARK = b"BLK2"
+_HEADER = struct.Struct("<4sIQQQ")  # mark, number of the block, vertices, coefficients, rays
+_CHECKSUM = struct.Struct("<I")  # of header and content, behind both
+_MARK = b"BLK3"
+_SUFFIX = ".block"
 
 
 class BlockStatistics(NamedTuple):
@@ -93,78 +97,89 @@ class MemoryStore:
 
 
 class Journal:
-    """Blocks in a file, which is opened by `journal`."""
+    """Blocks in a folder, which is made by `journal`: each is a file, and mapped when it is read.
 
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._places: dict[int, tuple[int, int]] = {}  # where each block's arrays begin, and its number of vertices
-        file.seek(0)
-        ends = [0, *self._scan()]
-        file.seek(ends[-1])
-        file.truncate()
+    Parameters
+    ----------
+    folder : path
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._blocks: dict[int, Block] = {}
+        for path in sorted(folder.glob(f"*{_SUFFIX}")):
+            if path.stem.isdigit():
+                self.find(int(path.stem))
 
     def add(self, number: int, block: Block) -> None:
-        content = b"".join(
-            np.ascontiguousarray(array).tobytes() for array in (block.vertices, *block.statistics, block.coefficients)
-        )
+        """Keep a block."""
         sizes = block.vertices.size, block.coefficients.size
+        arrays = (block.vertices, *block.statistics, block.coefficients)
+        header = _HEADER.pack(_MARK, number, *sizes, block.rays)
+        parts = [header, *(np.ascontiguousarray(array).tobytes() for array in arrays)]
+        checksum = 0
+        for part in parts:
+            checksum = zlib.crc32(part, checksum)
         try:
-            self._file.seek(0, io.SEEK_END)
-            begin = self._file.tell()
-            self._file.write(_HEADER.pack(_MARK, number, *sizes, block.rays, zlib.crc32(content)) + content)
-            self._file.flush()
+            handle, name = tempfile.mkstemp(dir=self.folder)  # of this process alone
+            with os.fdopen(handle, "wb") as file:
+                for part in (*parts, _CHECKSUM.pack(checksum)):
+                    file.write(part)
+            os.replace(name, self._path(number))
         except OSError as error:
             raise UserError(
-                f"{self._file.name}: cannot be written ({error.strerror or error}); free some space, or set "
+                f"{self.folder}: cannot be written ({error.strerror or error}); free some space, or set "
                 "SLEPIAN_PRT_CACHE to a folder on another disk"
             ) from None
-        self._places[number] = begin + _HEADER.size, block.vertices.size
+        if self.find(number) is None:
+            raise UserError(f"{self.folder}: changed while it was used; start again")
+
+    def find(self, number: int) -> Block | None:
+        """A block, if it is here and whole; perhaps another process has made it."""
+        if number not in self._blocks:
+            found = _read(self._path(number), number)
+            if found is None:
+                return None
+            self._blocks[number] = found
+        return self._blocks[number]
+
+    def forget(self, number: int) -> None:
+        """A block that is not what was expected."""
+        self._blocks.pop(number, None)
+        with contextlib.suppress(OSError):
+            self._path(number).unlink()
 
     def __iter__(self) -> Iterator[tuple[int, Block]]:
-        for number, (begin, _) in self._places.items():
-            self._file.seek(begin - _HEADER.size)
-            found = self._read()
-            if found is None:
-                raise UserError(f"{self._file.name}: changed while it was used; start again")
-            yield number, found[1]
+        yield from self._blocks.items()
 
     def part(self, number: int, vertices: slice, coefficients: slice) -> tuple[NDArray, NDArray]:
-        begin, count = self._places[number]
-        of_coefficients = begin + 16 * count
-        return (
-            self._array(begin + 4 * vertices.start, vertices.stop - vertices.start, np.int32),
-            self._array(of_coefficients + 4 * coefficients.start, coefficients.stop - coefficients.start, np.float32),
-        )
+        block = self._blocks[number]
+        return block.vertices[vertices], block.coefficients[coefficients]
 
-    def _array(self, begin: int, count: int, kind: type) -> NDArray:
-        self._file.seek(begin)
-        return np.frombuffer(self._file.read(4 * count), dtype=kind)
+    def _path(self, number: int) -> Path:
+        return self.folder / f"{number:06}{_SUFFIX}"
 
-    def _scan(self) -> Iterator[int]:
-        """Go over the blocks that are whole; yields where each ends."""
-        while True:
-            begin = self._file.tell()
-            found = self._read()
-            if found is None:
-                return
-            number, block = found
-            self._places[number] = begin + _HEADER.size, block.vertices.size
-            yield self._file.tell()
 
-    def _read(self) -> tuple[int, Block] | None:
-        """The block that begins here, if it is whole."""
-        header = self._file.read(_HEADER.size)
-        if len(header) < _HEADER.size:
-            return None
-        mark, number, count, size, rays, checksum = _HEADER.unpack(header)
-        if mark != _MARK or count > 1 << 32 or size > 1 << 40:
-            return None
-        content = self._file.read(16 * count + 4 * size)
-        if len(content) < 16 * count + 4 * size or zlib.crc32(content) != checksum:
-            return None
-        vertices = np.frombuffer(content, np.int32, count)
-        statistics = BlockStatistics(*np.frombuffer(content, np.float32, 3 * count, 4 * count).reshape(3, -1))
-        return number, Block(vertices, statistics, np.frombuffer(content, np.float32, size, 16 * count), rays)
+def _read(path: Path, number: int) -> Block | None:
+    """The block of a file, mapped; None if it is not there, or not whole."""
+    try:
+        with path.open("rb") as file:
+            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except (OSError, ValueError):  # not there, or empty
+        return None
+    if len(content) < _HEADER.size + _CHECKSUM.size:
+        return None
+    mark, own, count, size, rays = _HEADER.unpack_from(content)
+    end = _HEADER.size + 16 * count + 4 * size
+    if mark != _MARK or own != number or len(content) != end + _CHECKSUM.size:
+        return None
+    if zlib.crc32(memoryview(content)[:end]) != _CHECKSUM.unpack_from(content, end)[0]:
+        return None
+    vertices = np.frombuffer(content, np.int32, count, _HEADER.size)
+    after = _HEADER.size + 4 * count
+    statistics = BlockStatistics(*np.frombuffer(content, np.float32, 3 * count, after).reshape(3, -1))
+    coefficients = np.frombuffer(content, np.float32, size, after + 12 * count)
+    return Block(vertices, statistics, coefficients, rays)
 
 
 @contextlib.contextmanager
@@ -172,21 +187,16 @@ def journal(fingerprint: str) -> Iterator[Journal]:
     """The journal of a job, which is gone when the job is done and stays when it is not.
 
     It lies in the user's cache folder, or where SLEPIAN_PRT_CACHE says. Without a folder that can be written, or while
-    another process does the same job, it is a temporary file, and the job starts from the beginning.
+    another process does the same job, it is in a temporary folder, and the job starts from the beginning.
 
     Parameters
     ----------
     fingerprint : str
         Of all that the blocks depend on.
     """
-    file = locked_cache_file(f"{fingerprint}.blocks")
-    if file is None:
-        log.info("no folder to keep finished work in, or another process does the same; if stopped, it starts again")
-        with tempfile.TemporaryFile(prefix="slepian_prt-") as temporary:
-            yield Journal(temporary)
-        return
-    with file:
-        kept = Journal(file)
-        yield kept
-        with contextlib.suppress(OSError):
-            Path(file.name).unlink()
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(locked_cache_folder(f"{fingerprint}.blocks"))
+        if folder is None:
+            log.info("no folder to keep work in, or another process does the same; if stopped, it starts again")
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="slepian_prt-")))
+        yield Journal(folder)

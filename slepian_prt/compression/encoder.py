@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from slepian_prt.compression.attempts import Attempt, CodedCap, Coder, LocalCoder
 from slepian_prt.compression.bases import Candidate
-from slepian_prt.compression.blocks import CapBlocks
+from slepian_prt.compression.blocks import ProjectedCaps
 from slepian_prt.compression.clustering import Clusters
-from slepian_prt.compression.codec import tuning as codec_tuning
 from slepian_prt.compression.codec.caps import Coded, DecodedCap, Tuning
-from slepian_prt.compression.codec.encoding import EncodedCap, RoundedCaps, round_caps
 from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE
+from slepian_prt.compression.codec.tuning import next_step
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import MeanTransfer
-from slepian_prt.compression.prediction import Expectation, by_degree
+from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.projection import Projection, count_by_rule
 from slepian_prt.compression.refinement import refine
 
@@ -32,8 +33,6 @@ _SAMPLE = 15_000
 _SAMPLE_COEFFICIENTS = 1 << 21
 _ATTEMPTS = 3
 _MOST_ATTEMPTS = 40
-# Pieces that are kept rounded between attempts; more would take too much memory, and are encoded each time.
-_HELD_PIECES = 4
 # What is left of the error asked for need not be used up to the last.
 _CLOSE = 0.95
 _FINER = 0.985
@@ -56,6 +55,9 @@ class WarmStart:
     def scaled(self, ratio: float) -> WarmStart:
         """For a tolerance that is ``ratio`` times as large."""
         return WarmStart(replace(self.tuning, step=self.tuning.step * ratio))
+
+
+MakeCoder = Callable[[Projection, Any, bool], Coder]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,22 +84,29 @@ class Encoding:
 
 
 def encode(
-    projection: Projection, blocks: CapBlocks, *, warm_start: WarmStart | None = None, keep_decoded: bool = False
+    projection: Projection,
+    blocks: ProjectedCaps,
+    make_coder: MakeCoder = LocalCoder,
+    *,
+    warm_start: WarmStart | None = None,
+    keep_decoded: bool = False,
 ) -> Encoding:
     """Encode all caps as the settings of the projection ask.
 
     Parameters
     ----------
     projection : Projection
-    blocks : CapBlocks
+    blocks : ProjectedCaps
         All receivers, projected.
+    make_coder : callable
+        Gives what rounds all caps, where the receivers are.
     warm_start : WarmStart, optional
     keep_decoded : bool
         Whether what was coded is wanted as it will be decoded.
     """
     settings = projection.learned.settings
     if settings.resolved_coding == "coded":
-        return _encode_coded(projection, blocks, warm_start, keep_decoded)
+        return _encode_coded(projection, blocks, make_coder(projection, blocks, keep_decoded), warm_start)
     if settings.refine:
         return _encode_refined(projection, blocks)
     kind = np.dtype(settings.resolved_coding)
@@ -123,7 +132,7 @@ def _encoding(projection: Projection, bases: tuple[LinearBasis, ...], **fields: 
     )
 
 
-def _encode_refined(projection: Projection, blocks: CapBlocks) -> Encoding:
+def _encode_refined(projection: Projection, blocks: ProjectedCaps) -> Encoding:
     """Mean and principal axes of the coefficients of each cap, uncoded."""
     learned = projection.learned
     refined = [
@@ -149,7 +158,7 @@ def _encode_refined(projection: Projection, blocks: CapBlocks) -> Encoding:
 
 
 def _encode_coded(
-    projection: Projection, blocks: CapBlocks, warm_start: WarmStart | None, keep_decoded: bool
+    projection: Projection, blocks: ProjectedCaps, coder: Coder, warm_start: WarmStart | None
 ) -> Encoding:
     """All caps coded with one step, such that the error asked for is met by measurement."""
     learned = projection.learned
@@ -157,10 +166,11 @@ def _encode_coded(
     wanted = allowed_distortion(projection, total, missed)
     # Many small problems: threads of BLAS gain nothing, and cost minutes where the cores are busy.
     with threadpool_limits(1, "blas"):
-        tuning, encoded = _encode_to_distortion(projection, blocks, wanted, warm_start, keep_decoded)
+        tuning, encoded = _encode_to_distortion(projection, blocks, coder, wanted, warm_start)
     sizes = learned.clusters.sizes
     used = np.array([cap.used / learned.channels for cap in encoded]) + (projection.bases[0].mean is not None)
-    expected, _ = measure_expectation(projection, range(len(encoded)), encoded, blocks, total, missed)
+    everyone = blocks.size(range(len(encoded)))
+    expected, _ = measure_expectation(projection, [cap.lost for cap in encoded], everyone, total, missed)
     return _encoding(
         projection,
         projection.bases,
@@ -173,8 +183,8 @@ def _encode_coded(
 
 
 def _encode_to_distortion(
-    projection: Projection, blocks: CapBlocks, wanted: float, warm_start: WarmStart | None, keep: bool
-) -> tuple[Tuning, list[EncodedCap]]:
+    projection: Projection, blocks: ProjectedCaps, coder: Coder, wanted: float, warm_start: WarmStart | None
+) -> tuple[Tuning, list[CodedCap]]:
     """Tune on some caps, code all, and again with another step until what rounding changed is what is wanted."""
     count, width = len(projection.bases), max(1, int(blocks.widths.max(initial=0)))
     finest = blocks.largest() / LARGEST_MULTIPLE
@@ -182,45 +192,32 @@ def _encode_to_distortion(
     if warm_start is None:
         sample = sample_caps(projection.learned, min(_SAMPLE, _SAMPLE_COEFFICIENTS // width))
         part = blocks.size(sample) / blocks.size(range(count))
-        coefficients = [blocks.coefficients(c) for c in sample]
-        tuning = codec_tuning.tune(coefficients, blocks.rows(sample), wanted * part, finest, choices[0])
+        tuning = blocks.tune(sample, wanted * part, finest, choices[0])
     else:
         choices = warm_start.principal_axes or choices
         # Coded once more if it were a little too coarse; a little too fine is good enough.
         tuning = replace(warm_start.tuning, step=_FINER * warm_start.tuning.step)
     tuning = replace(tuning, predictor=tuning.predictor.of_width(width))
     enough = _CLOSE if warm_start is None else _CLOSE * _FINER**2
-    pieces = blocks.pieces()
-    held = len(pieces) <= _HELD_PIECES
-    rounded: list[RoundedCaps] = []
-    encoded: list[EncodedCap] = []
-    best: tuple[Tuning, list[RoundedCaps], list[EncodedCap]] | None = None
-    for attempt in range(1, _MOST_ATTEMPTS + 1):
-        if held and rounded:
-            rounded = [piece.with_tuning(tuning) for piece in rounded]
-        else:
-            found = (_round(blocks, piece, tuning, choices) for piece in pieces)
-            rounded, encoded = (list(found), []) if held else ([], [cap for one in found for cap in one.encode(keep)])
-            choices = [cap.content.principal_axes for cap in encoded] or choices
-        results: list[RoundedCaps | EncodedCap] = [*rounded, *encoded]
-        distortion = sum(one.distortion for one in results)
+    last: Attempt | None = None
+    best: Attempt | None = None
+    for number in range(1, _MOST_ATTEMPTS + 1):
+        last = coder.attempt(tuning, choices, last)
+        choices = last.principal_axes or choices
+        distortion = last.distortion
         if distortion <= wanted * (1.0 + 1e-9) or tuning.step <= finest:
-            best = tuning, rounded, encoded
+            best = last
         close = enough * wanted <= distortion <= wanted or tuning.step <= finest or distortion == 0.0
         # If nothing is coded, a coarser step changes nothing.
-        close = close or (distortion <= wanted and not any(one.used for one in results))
-        if best is not None and (close or attempt >= _ATTEMPTS):
+        close = close or (distortion <= wanted and not last.used)
+        if best is not None and (close or number >= _ATTEMPTS):
             break
         # A little less than aimed for is enough.
-        step = codec_tuning.next_step(tuning.step, distortion, 0.5 * (1.0 + _CLOSE) * wanted)
+        step = next_step(tuning.step, distortion, 0.5 * (1.0 + _CLOSE) * wanted)
         tuning = replace(tuning, step=max(step, finest))
-    tuning, rounded, encoded = best or (tuning, rounded, encoded)
-    return tuning, encoded or [cap for piece in rounded for cap in piece.encode(keep)]
-
-
-def _round(blocks: CapBlocks, piece: range, tuning: Tuning, choices: Sequence[bool | None]) -> RoundedCaps:
-    coefficients = [blocks.coefficients(c) for c in piece]
-    return round_caps(coefficients, blocks.rows(piece), tuning, [choices[c] for c in piece])
+    chosen = best or last
+    assert chosen is not None
+    return chosen.tuning, chosen.encode()
 
 
 def principal_axes_asked(projection: Projection) -> bool | None:
@@ -264,26 +261,31 @@ def expect(learned: LearnedBases, lost: Sequence[NDArray]) -> Expectation:
 
 
 def measure_expectation(
-    projection: Projection,
-    caps: Sequence[int],
-    encoded: Sequence[EncodedCap],
-    blocks: CapBlocks,
-    total: float,
-    missed: float,
+    projection: Projection, lost: Sequence[NDArray[np.float64]], receivers: int, total: float, missed: float
 ) -> tuple[Expectation, NDArray[np.float64]]:
-    """What coding some caps lost, by degree, and the part of it that the bases miss."""
+    """What coding some caps lost, by degree, and the part of it that the bases miss.
+
+    Parameters
+    ----------
+    projection : Projection
+    lost : sequence of (L+1,)
+        Of each of these caps; see `CodedCap`.
+    receivers : int
+        In these caps.
+    total, missed : float
+        Sums over them, as of `ProjectedCaps.energies`.
+    """
     learned = projection.learned
-    channels, lost, norm = learned.channels, np.zeros(learned.bandlimit + 1), blocks.size(caps) * learned.channels
-    for c, cap in zip(caps, encoded, strict=True):
-        basis = projection.bases[c]
-        errors = np.einsum("kclc->kl", cap.errors.reshape(basis.count, channels, basis.count, channels))
-        lost += by_degree(np.sum((errors @ basis.synthesis) * basis.synthesis, axis=0)) / norm
+    norm = receivers * learned.channels
+    coded = np.zeros(learned.bandlimit + 1)
+    for own in lost:
+        coded += own / norm
     expected = expect(learned, _lost(projection))
     # What the bases miss is spread over the degrees as the pilot has it; its sum was measured on all receivers.
     foreseen, whole = float(learned.power @ expected.lost), float(learned.power @ expected.total)
     missing = expected.lost * (missed / norm / foreseen if foreseen > 0.0 else 0.0)
     everything = expected.total * (total / norm / whole if whole > 0.0 else 1.0)
-    return Expectation(lost + missing, everything), missing
+    return Expectation(coded + missing, everything), missing
 
 
 def _lost(projection: Projection) -> list[NDArray[np.float64]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -15,8 +16,8 @@ from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.planned import PlannedScene
 
 
-def fingerprint(planned: PlannedScene, projection: Projection) -> str:
-    """Of everything that blocks of coefficients depend on."""
+def fingerprint(planned: PlannedScene, projection: Projection, blocks: Sequence[NDArray[np.int64]]) -> str:
+    """Of everything that blocks of coefficients depend on, and which receivers are those of each."""
     digest = hashlib.sha256()
     scene, settings, plan, learned = planned.scene, planned.settings, planned.plan, projection.learned
     numbers = (version("slepian_prt"), scene.mi.variant(), settings.bandlimit, settings.seed, plan.nodes)
@@ -25,6 +26,7 @@ def fingerprint(planned: PlannedScene, projection: Projection) -> str:
     arrays = [mesh.positions, mesh.normals, mesh.faces, plan.shadowed, scene.origin, scene.ray_heights]
     for shape in (*scene.shapes, *instanced_shapes(scene)):
         arrays += shape_arrays(scene.mi, shape)
+    arrays += [np.array([block.size for block in blocks]), *blocks]
     arrays += [learned.normals, learned.clusters.index, *(basis.analysis for basis in projection.bases)]
     if learned.pilot is not None and learned.pilot.mean is not None:
         arrays.append(learned.pilot.mean.zonal)

@@ -72,6 +72,10 @@ class LearnedBases:
         """The same for another tolerance."""
         return replace(self, settings=replace(self.settings, tolerance=tolerance))
 
+    def without_candidates(self) -> LearnedBases:
+        """What projecting and coding need, once the bases are chosen."""
+        return replace(self, candidates=(), widest={})
+
     def add_mean(self, vectors: NDArray, vertices: NDArray, sign: float = 1.0) -> None:
         """Add what the normals alone tell of some vertices to their vectors (n, channels, (L+1)²), in place."""
         if self.pilot is None or self.pilot.mean is None:

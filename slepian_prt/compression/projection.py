@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression import truncation
 from slepian_prt.compression.bases import Candidate
-from slepian_prt.compression.blocks import CapBlocks
+from slepian_prt.compression.blocks import CapBlocks, ProjectedCaps, pieces_of
 from slepian_prt.compression.checkpoint import Block, BlockStatistics, MemoryStore, Store
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.linear_basis import LinearBasis
@@ -75,11 +75,24 @@ class Projection:
         statistics = BlockStatistics(traced.blocked[order].astype(np.float32), energy, np.maximum(missed, 0.0))
         return Block(vertices.astype(np.int32), statistics, np.concatenate(pieces), traced.rays)
 
+    def as_sent(self) -> Projection:
+        """The same without what only choosing the bases needs, and what is worked out anew faster than it is sent."""
+        bases = tuple(replace(basis) for basis in self.bases)
+        return replace(self, learned=self.learned.without_candidates(), bases=bases)
+
+    @property
+    def widths(self) -> NDArray[np.int64]:
+        """(caps,) coefficients of a receiver of each cap."""
+        return np.array([basis.count * self.learned.channels for basis in self.bases], dtype=np.int64)
+
+    def pieces(self) -> list[range]:
+        """All caps in pieces whose coefficients are few enough to be coded together."""
+        return pieces_of(self.learned.clusters.sizes * self.widths)
+
     def caps(self, store: Store, overrides: dict[int, Block] | None = None) -> CapBlocks:
         """The projected blocks, to be read cap by cap."""
-        clusters = self.learned.clusters
-        widths = np.array([basis.count * self.learned.channels for basis in self.bases], dtype=np.int64)
-        return CapBlocks(self.learned.receivers, clusters.index, clusters.members, widths, store, overrides or {})
+        clusters, receivers = self.learned.clusters, self.learned.receivers
+        return CapBlocks(receivers, clusters.index, clusters.members, self.widths, store, overrides or {})
 
     def reconstruct(self, cap: int, vertices: NDArray, coefficients: NDArray) -> NDArray[np.float32]:
         """(n, channels, (L+1)²) vectors of some vertices of a cap, channels decorrelated."""
@@ -111,7 +124,7 @@ def choose_projection(learned: LearnedBases, widening: int = 1) -> Projection:
     return Projection(learned, bases, widening)
 
 
-def widen(projection: Projection, caps: CapBlocks) -> Projection | None:
+def widen(projection: Projection, caps: ProjectedCaps) -> Projection | None:
     """Twice as many functions if those that blocks were projected on miss more than the tolerance allows; else None.
 
     The pilot may have seen too little of what there is.

@@ -6,45 +6,39 @@ forgotten, and the vectors of all are never held; what is kept are the coefficie
 
 from __future__ import annotations
 
-import logging
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slepian_prt.compression import decoder
-from slepian_prt.compression.blocks import CapBlocks
-from slepian_prt.compression.checkpoint import Block, MemoryStore, Store, journal
+from slepian_prt.compression.checkpoint import MemoryStore
 from slepian_prt.compression.clustering import Clusters
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.encoder import WarmStart, encode
-from slepian_prt.compression.fingerprint import fingerprint
+from slepian_prt.compression.encoder import Encoding, WarmStart, encode
 from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer, regroup
 from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_bases, pilot_of
 from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
-from slepian_prt.compression.projection import Projection, choose_projection, widen
+from slepian_prt.compression.projection import choose_projection, widen
 from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettings
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, store_mesh
 from slepian_prt.compression.stored_mesh.transfers import as_stored, stored_mesh_of
-from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.compression.tracing import Projected, trace_and_project
+from slepian_prt.compression.tracing_by_workers import trace_by_workers
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.estimator import Estimator, TransferBlock
-from slepian_prt.transport.fixed_lights import direct_fixed_lights
-from slepian_prt.transport.interior import InteriorVertices, find_interior
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 if TYPE_CHECKING:
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.scene.loading import SceneSource
-
-log = logging.getLogger(__name__)
 
 # Receivers that are projected at a time when their vectors are there.
 _BLOCK = 1 << 14
@@ -167,26 +161,6 @@ def learn_from(
     return fit_bases(settings, receivers, grouping, bandlimit, seed, transfer.vectors)
 
 
-@dataclass(frozen=True, eq=False)
-class Projected:
-    """All receivers, projected on bases that hold enough of them.
-
-    Attributes
-    ----------
-    projection : Projection
-    blocks : CapBlocks
-    rays : int
-        Traced for it.
-    fixed : FixedLights or None
-        Light of the lamps, where receivers were traced.
-    """
-
-    projection: Projection
-    blocks: CapBlocks
-    rays: int = 0
-    fixed: FixedLights | None = None
-
-
 def project_transfer(transfer: Transfer, learned: LearnedBases) -> Projected:
     """Project vectors that are there."""
     projection = choose_projection(learned)
@@ -214,7 +188,7 @@ def encode_transfer(
     keep_decoded: bool = False,
 ) -> CompressedTransfer:
     """Encode what was projected of vectors that are there; compression ``started`` then, by `time.perf_counter`."""
-    encoding = encode(projected.projection, projected.blocks, warm_start=warm_start, keep_decoded=keep_decoded)
+    encoding = _encode(projected, warm_start, keep_decoded)
     own = transfer.environment
     stored = stored_mesh_of(transfer, exact=projected.projection.learned.settings.exact_mesh)
     return _assemble(
@@ -248,6 +222,7 @@ def precompute_compressed(
     on_plan: Callable[[tuple[Effect, ...]], None] = _silent,
     advance: Advance = _silent,
     report: Report = _silent,
+    crew: Crew | None = None,
 ) -> CompressedTransfer:
     """Transfer of a scene, compressed as it is traced.
 
@@ -263,6 +238,8 @@ def precompute_compressed(
     on_plan, advance : as of `precompute`
     report : callable
         Told what is being done.
+    crew : Crew, optional
+        Workers that trace and code; the file is the same with any number of them, and without.
 
     Raises
     ------
@@ -277,43 +254,23 @@ def precompute_compressed(
         seed, receivers = transport.seed, _stored_mesh(planned, settings).mesh.receivers
         vectors = source.estimate(pilot_of(grouping, seed)).vectors
         learned = learn_bases(settings, receivers, grouping, int(transport.bandlimit), seed, vectors)
-        with trace_and_project(planned, source, learned, advance) as projected:
+        with trace(planned, source, learned, scene, crew, advance) as projected:
             report("coding")
             return encode_planned(planned, projected)
 
 
-@contextmanager
-def trace_and_project(
-    planned: PlannedScene, source: Estimator[Any], learned: LearnedBases, advance: Advance = _silent
-) -> Iterator[Projected]:
-    """Trace and project block after block; blocks are on disk, and gone when the with-block ends well.
-
-    Parameters
-    ----------
-    planned : PlannedScene
-        That does `by_blocks`.
-    source : Estimator
-        Of ``planned``.
-    learned : LearnedBases
-    advance : as of `precompute`
-    """
-    rays = source.rays
-    projection = choose_projection(learned)
-    while True:
-        with journal(fingerprint(planned, projection)) as store:
-            _trace(planned, source, projection, store, advance)
-            interior = _find_interior(planned, store)
-            blocks = projection.caps(store, _project_interior(source, projection, interior))
-            wider = widen(projection, blocks)
-            if wider is None:
-                planned.clock.stop("transport")
-                fixed, fixed_rays = direct_fixed_lights(planned, interior)
-                if fixed is not None:
-                    planned.clock.stop("fixed lights")
-                yield Projected(projection, blocks, rays + fixed_rays + sum(block.rays for _, block in store), fixed)
-                return
-        projection = wider
-        log.info("the pilot foresaw too little error; once more with %d functions of each cap", wider.bases[0].count)
+def trace(
+    planned: PlannedScene,
+    source: Estimator[Any],
+    learned: LearnedBases,
+    scene: SceneSource,
+    crew: Crew | None,
+    advance: Advance = _silent,
+) -> AbstractContextManager[Projected]:
+    """As `trace_and_project`, here or by workers."""
+    if crew is None:
+        return trace_and_project(planned, source, learned, advance)
+    return trace_by_workers(planned, source, learned, crew, scene, advance)
 
 
 def encode_planned(
@@ -321,7 +278,7 @@ def encode_planned(
 ) -> CompressedTransfer:
     """Encode what was traced and projected."""
     begin = time.perf_counter()
-    encoding = encode(projected.projection, projected.blocks, warm_start=warm_start, keep_decoded=keep_decoded)
+    encoding = _encode(projected, warm_start, keep_decoded)
     seconds, scene, bandlimit = planned.clock.seconds, planned.scene, projected.projection.learned.bandlimit
     seconds["compress"] = seconds.get("compress", 0.0) + time.perf_counter() - begin
     stored = _stored_mesh(planned, projected.projection.learned.settings)
@@ -345,6 +302,16 @@ def encode_planned(
     )
 
 
+def _encode(projected: Projected, warm_start: WarmStart | None, keep_decoded: bool) -> Encoding:
+    return encode(
+        projected.projection,
+        projected.blocks,
+        projected.make_coder,
+        warm_start=warm_start,
+        keep_decoded=keep_decoded,
+    )
+
+
 def _stored_mesh(planned: PlannedScene, settings: CompressionSettings) -> StoredMesh:
     return store_mesh(planned.scene.mesh, planned.scene.parts, exact=settings.exact_mesh)
 
@@ -356,38 +323,3 @@ def _assemble(encoding: Any, **about: Any) -> CompressedTransfer:
     if decoded:
         decoder.remember(packed, decoded)
     return packed
-
-
-def _trace(
-    planned: PlannedScene, source: Estimator[Any], projection: Projection, store: Store, advance: Advance
-) -> None:
-    """Trace and project all blocks that are not in the store already."""
-    pieces, count = source.pieces(), len(planned.scene.receivers)
-    done = {number for number, _ in store}
-    left = [number for number in range(len(pieces)) if number not in done]
-    if done:
-        log.info("%d of %d blocks were finished before and are kept", len(done), len(pieces))
-        advance(sum(pieces[number].size for number in done), count)
-    for number, block in zip(left, source.blocks([pieces[number] for number in left], projection.block), strict=True):
-        store.add(number, block)
-        advance(block.vertices.size, count)
-
-
-def _find_interior(planned: PlannedScene, store: Store) -> InteriorVertices:
-    """Receivers inside other geometry, among those that were found to see nothing of the sky."""
-    dark = [block.vertices[block.statistics.blocked >= 1.0] for _, block in store]
-    found = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *dark]))
-    return find_interior(planned.scene, found[planned.scene.receivers.active[found]])
-
-
-def _project_interior(source: Estimator[Any], projection: Projection, interior: InteriorVertices) -> dict[int, Block]:
-    """Blocks of the receivers inside other geometry, whose transfer is that of their neighbours."""
-    overrides = {}
-    for number, begin in enumerate(range(0, interior.vertices.size, _BLOCK)):
-        rows = slice(begin, begin + _BLOCK)
-        vertices, weights = interior.vertices[rows], interior.weights[rows]
-        visible = np.unique(weights.indices)
-        vectors = (weights[:, visible] @ source.estimate(visible).vectors[:, 0]).astype(np.float32)
-        block = TransferBlock(vertices, vectors[:, None, :], np.ones(vertices.size, dtype=np.float32), 0)
-        overrides[number] = projection.block(block)
-    return overrides

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
+from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.grouping import Grouping
@@ -13,7 +14,8 @@ from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.projection import choose_projection, narrow, widen
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stored_mesh.transfers import as_stored
-from slepian_prt.compression.stream import Projected, compress, encode_transfer, project_transfer
+from slepian_prt.compression.stream import compress, encode_transfer, project_transfer
+from slepian_prt.compression.tracing import Projected
 from slepian_prt.transport.transfer import Transfer
 
 
@@ -73,6 +75,7 @@ class ToleranceSweep:
         finest = self._finest
         projection = None if finest is None else choose_projection(learned)
         while finest is not None and projection is not None:
+            assert isinstance(finest.blocks, CapBlocks)  # of vectors that are here
             found = narrow(finest.projection, finest.blocks.store, projection)
             if found is None:
                 return None

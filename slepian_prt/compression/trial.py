@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from slepian_prt.compression.attempts import lost_by_degree
 from slepian_prt.compression.blocks import CapBlocks
 from slepian_prt.compression.codec.caps import decode_caps
 from slepian_prt.compression.codec.encoding import encode_caps
@@ -100,7 +101,8 @@ def try_caps(projection: Projection, blocks: CapBlocks, caps: Sequence[int]) -> 
     decoded = decode_caps([cap.content for cap in encoded], counts, rows, tuning)
     read_back = time.perf_counter()
     size = blocks.size(caps)
-    expected, missing = measure_expectation(projection, caps, encoded, blocks, total, missed)
+    lost = [lost_by_degree(projection, c, cap) for c, cap in zip(caps, encoded, strict=True)]
+    expected, missing = measure_expectation(projection, lost, size, total, missed)
     return CodingTrial(
         projection,
         WarmStart(tuning),

@@ -108,9 +108,9 @@ class DirectTransfer(Estimator[_TracedBlock]):
         tables = OcclusionTables(directions, self.bandlimit)
         return VisibilityTracer(self.scene, directions, self.seed), tables
 
-    def pieces(self) -> list[NDArray[np.int64]]:
-        """All receivers, in pieces of about as many rays."""
-        return cut_pieces(self.scene, self._is_traced, self.block_size)
+    def pieces(self, receivers: NDArray[np.int64] | None = None) -> list[NDArray[np.int64]]:
+        """All receivers, or some, in pieces of about as many rays."""
+        return cut_pieces(self.scene, self._is_traced, self.block_size, receivers)
 
     def trace(self, vertices: NDArray) -> _TracedBlock:
         """Find what is blocked for those of the receivers that can be shadowed."""

@@ -86,8 +86,8 @@ class Estimator(ABC, Generic[Samples]):
         """Receivers that are traced at a time."""
 
     @abstractmethod
-    def pieces(self) -> list[NDArray[np.int64]]:
-        """All receivers, in pieces of about as much work each; see `cut_pieces`."""
+    def pieces(self, receivers: NDArray[np.int64] | None = None) -> list[NDArray[np.int64]]:
+        """All receivers, or some, in pieces of about as much work each; see `cut_pieces`."""
 
     @abstractmethod
     def trace(self, vertices: NDArray) -> Samples:
@@ -174,8 +174,10 @@ def receivers_per_block(rays: int, most_rays: int, numbers: int) -> int:
     return max(1, min(most_rays // rays, _NUMBERS_PER_BLOCK // numbers))
 
 
-def cut_pieces(scene: Scene, traced: NDArray[np.bool_], block_size: int) -> list[NDArray[np.int64]]:
-    """All receivers in pieces of about as much work; neighbours in space, which share the tracer's caches, together.
+def cut_pieces(
+    scene: Scene, traced: NDArray[np.bool_], block_size: int, receivers: NDArray[np.int64] | None = None
+) -> list[NDArray[np.int64]]:
+    """Receivers in pieces of about as much work; neighbours in space, which share the tracer's caches, together.
 
     Parameters
     ----------
@@ -184,8 +186,14 @@ def cut_pieces(scene: Scene, traced: NDArray[np.bool_], block_size: int) -> list
         Receivers that rays start from; the others cost little.
     block_size : int
         Of these, in a piece.
+    receivers : (n,) indices, optional
+        By default all.
     """
-    order = np.argsort(morton(scene.traced_positions), kind="stable")
+    if receivers is None:
+        receivers = np.arange(len(scene.receivers))
+    order = receivers[np.argsort(morton(scene.traced_positions[receivers]), kind="stable")]
+    if order.size == 0:
+        return []
     work = np.cumsum(np.where(traced[order], 1.0 / block_size, 1.0 / _UNTRACED_PER_BLOCK))
     cuts = np.searchsorted(work, np.arange(1, int(work[-1]) + 1), side="right")
     return [piece for piece in np.split(order, cuts) if piece.size]

@@ -114,9 +114,9 @@ class ViewTransfer(Estimator[_ViewSamples]):
         """Receivers that are traced at a time."""
         return receivers_per_block(self._half, _RAYS_PER_BLOCK, self.channels * num_coefficients(self.bandlimit))
 
-    def pieces(self) -> list[NDArray[np.int64]]:
-        """All receivers, in pieces of about as many rays."""
-        return cut_pieces(self.scene, self._is_facing, self.block_size)
+    def pieces(self, receivers: NDArray[np.int64] | None = None) -> list[NDArray[np.int64]]:
+        """All receivers, or some, in pieces of about as many rays."""
+        return cut_pieces(self.scene, self._is_facing, self.block_size, receivers)
 
     def trace(self, vertices: NDArray) -> _ViewSamples:
         """Weigh the light of each direction of both sets, for those of the receivers that face the camera."""

@@ -26,7 +26,7 @@ from slepian_prt.transport.glossy import ViewTransfer
 from slepian_prt.transport.interreflection import gather_operator
 from slepian_prt.transport.lamps import Lamps, find_lamps
 from slepian_prt.transport.settings import TransportSettings
-from slepian_prt.transport.survey import Survey
+from slepian_prt.transport.survey import Survey, SurveyedScene
 
 if TYPE_CHECKING:
     from slepian_prt.scene.loading import SceneSource
@@ -94,24 +94,31 @@ class PlannedScene:
     Attributes
     ----------
     settings : TransportSettings
-    survey : Survey
+    survey : SurveyedScene
+        A `Survey`, but for scenes that were planned by another process (`portable`).
     plan : Plan
     clock : Clock
     lamps : Lamps
     """
 
     settings: TransportSettings
-    survey: Survey
+    survey: SurveyedScene
     plan: Plan
     clock: Clock
     lamps: Lamps
 
     def with_settings(self, **changes: Any) -> PlannedScene:
         """The same scene, planned with other settings than ``albedo`` and ``view``, with a clock of its own."""
+        assert isinstance(self.survey, Survey)
         settings = replace(self.settings, **changes)
         plan = self.survey.plan(settings.bandlimit, settings.samples, settings.effects, self.plan.view)
         plan = self.lamps.add_rows(plan, settings.samples)
         return replace(self, settings=settings, plan=plan, clock=Clock(self.clock.seconds))
+
+    def nodes(self, samples: float) -> int:
+        """As of `Survey.nodes`."""
+        assert isinstance(self.survey, Survey)
+        return self.survey.nodes(samples)
 
     @property
     def scene(self) -> Scene:

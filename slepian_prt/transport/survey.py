@@ -70,12 +70,23 @@ class PilotVisibility:
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
-    """What plans are made from, whatever the numbers that are asked for.
+class SurveyedScene:
+    """A scene that is traced as its survey wants it.
 
     Attributes
     ----------
     scene : Scene
+    """
+
+    scene: Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Survey(SurveyedScene):
+    """What plans are made from, whatever the numbers that are asked for.
+
+    Attributes
+    ----------
     receivers, possible : indices of vertices
         That light can reach, and those of them that something reaches above the tangent plane of.
     pilot : PilotVisibility
@@ -85,7 +96,6 @@ class Survey:
         As ``possible``, where the boundaries of media count.
     """
 
-    scene: Scene
     receivers: NDArray[np.int64]
     possible: NDArray[np.int64]
     pilot: PilotVisibility

@@ -71,24 +71,53 @@ def test_blocks_of_a_job_that_was_killed_are_kept(cache, rng):
     assert list(cache.iterdir()) == []  # the job is done
 
 
-@pytest.mark.parametrize("damage", ["cut", "flip", "foreign"])
+@pytest.mark.parametrize(
+    "damage", ["cut", "longer", "coefficient", "number", "rays", "sizes", "foreign", "empty", "huge"]
+)
 def test_a_damaged_journal_keeps_what_is_whole(damage, cache, rng):
-    killed_after({number: block(rng, 50, 0) for number in range(4)})
-    (path,) = cache.iterdir()
+    killed_after({number: block(rng, 50, 8) for number in range(4)})
+    path = cache / "job.blocks" / "000002.block"
     content = bytearray(path.read_bytes())
-    quarter = len(content) // 4
     if damage == "cut":
-        content = content[: 3 * quarter + 20]
-    elif damage == "flip":
-        content[3 * quarter + 100] ^= 1
+        content = content[:-20]
+    elif damage == "longer":
+        content += b"more"
+    elif damage == "coefficient":
+        content[-100] ^= 1
+    elif damage == "number":
+        content[4] ^= 1
+    elif damage == "rays":
+        content[24] ^= 1
+    elif damage == "sizes":  # one vertex less, and as many bytes
+        content[8] -= 1
+        content[16] += 4
+    elif damage == "huge":
+        content[15] = content[23] = 255
     else:
-        content = bytearray(b"something else")
+        content = bytearray(b"something else" if damage == "foreign" else b"")
     path.write_bytes(content)
     with stores.journal("job") as journal:
-        kept = [number for number, _ in journal]
-        assert len(kept) == (0 if damage == "foreign" else 3)
-        journal.add(9, block(rng, 3, 1))  # goes behind what is whole
-        assert [number for number, _ in journal] == [*kept, 9]
+        assert [number for number, _ in journal] == [0, 1, 3]
+        whole = block(rng, 3, 1)
+        journal.add(2, whole)
+        assert same(dict(journal)[2], whole)
+
+
+def test_blocks_of_another_process_are_found(cache, rng):
+    with stores.journal("job") as journal:
+        other = stores.Journal(journal.folder)
+        assert other.find(5) is None
+        made = block(rng, 6, 2)
+        journal.add(5, made)
+        assert same(other.find(5), made)
+
+
+def test_files_of_something_else_are_left_alone(cache, rng):
+    killed_after({0: block(rng, 5, 8)})
+    (cache / "job.blocks" / "tmpabc").write_bytes(b"half a block")
+    (cache / "job.blocks" / "other.block").write_bytes(b"x")
+    with stores.journal("job") as journal:
+        assert [number for number, _ in journal] == [0]
 
 
 def test_two_processes_do_not_share_a_journal(cache, rng):
@@ -110,36 +139,27 @@ def test_without_a_folder_for_it_work_goes_on(monkeypatch, tmp_path, rng):
 
 def test_old_journals_are_forgotten(cache):
     cache.mkdir()
-    old, new = cache / "old.blocks", cache / "new.blocks"
+    old, new, older = cache / "old.blocks", cache / "new.blocks", cache / "older.blocks"
+    older.write_bytes(b"x")  # of a version that kept a single file
     for path in (old, new):
-        path.write_bytes(b"x")
-    os.utime(old, (0, 0))
+        path.mkdir()
+        (path / "000001.block").write_bytes(b"x")
+    for path in (old, older):
+        os.utime(path, (0, 0))
     with stores.journal("job"):
         assert not old.exists()
+        assert not older.exists()
         assert new.exists()
 
 
-def test_a_full_disk_is_one_clear_line(rng):
-    class Full:
-        name = "/somewhere/job.blocks"
+def test_a_full_disk_is_one_clear_line(monkeypatch, rng):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
 
-        def seek(self, *_):
-            return 0
-
-        def tell(self):
-            return 0
-
-        def read(self, _=None):
-            return b""
-
-        def truncate(self):
-            return None
-
-        def write(self, _):
-            raise OSError(28, "No space left on device")
-
-    with pytest.raises(UserError, match=r"No space left on device.*SLEPIAN_PRT_CACHE"):
-        stores.Journal(Full()).add(0, block(rng, 4, 0))
+    with stores.journal("job") as journal:
+        monkeypatch.setattr(stores.os, "replace", full)
+        with pytest.raises(UserError, match=r"No space left on device.*SLEPIAN_PRT_CACHE"):
+            journal.add(0, block(rng, 4, 0))
 
 
 # --- Streaming -------------------------------------------------------------------------------------------------------

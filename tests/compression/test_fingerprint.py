@@ -94,5 +94,5 @@ def test_what_instances_are_made_of_counts(tmp_path):
     for middle in (0.2, 0.2, 0.3):
         (tmp_path / "hair.txt").write_text(HAIR.format(middle))
         with plan_scene(path, TransportSettings(1, 16)) as planned:
-            found.append(fingerprint(planned, SimpleNamespace(learned=learned, bases=[])))
+            found.append(fingerprint(planned, SimpleNamespace(learned=learned, bases=[]), []))
     assert found[0] == found[1] != found[2]
