@@ -201,18 +201,20 @@ class Crew:
             What a task raised, as it was.
         """
         finished: queue.SimpleQueue[int] = queue.SimpleQueue()
+        left, self._roster.deaths = len(futures), 0
+        self._roster.awaited += left
         try:
             for number in range(len(futures)):
                 self._watch(futures[number], number, finished)
-            self._roster.awaited, self._roster.deaths = len(futures), 0
-            while self._roster.awaited:
+            while left:
                 numbers = self._next(finished)
                 done = [number for number in numbers if self._is_done(futures[number], number, finished)]
                 for number, result in zip(done, self._fetch([futures[number] for number in done]), strict=True):
+                    left -= 1
                     self._roster.awaited -= 1
                     yield number, result
         except BaseException:
-            self._roster.awaited = 0
+            self._roster.awaited -= left
             self.cancel(futures)
             raise
 

@@ -78,6 +78,16 @@ def test_futures_are_items_too_and_big_priorities_come_first(crew: Crew):
     crew.release(squares)
 
 
+def test_results_may_be_waited_for_while_others_are(crew: Crew):
+    squares = crew.share(SQUARES)
+    outer = []
+    for number, (square, _) in crew.results(crew.submit(tasks.look_up, range(6), squares)):
+        outer.append((number, square))
+        assert crew.gather(crew.submit(tasks.wait, [0.0, 0.0])) == [0.0, 0.0]
+    assert sorted(outer) == [(number, number**2) for number in range(6)]
+    crew.release(squares)
+
+
 def test_each_worker_of_a_machine_has_its_share_of_the_cores(crew: Crew):
     assert set(crew.gather(crew.submit(tasks.threads, range(4)))) == SHARE
 
