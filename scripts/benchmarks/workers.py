@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,9 +124,9 @@ def workers() -> None:
         )
 
 
-def replay_all(recorded: Recorded | None = None) -> list[Replayed]:
+def replay_all(recorded: Recorded | None = None) -> Iterator[Replayed]:
     """All runs."""
-    return [replay(recorded or Recorded(), count, speed) for count, speed in _RUNS]
+    return (replay(recorded or Recorded(), count, speed) for count, speed in _RUNS)
 
 
 def replay(recorded: Recorded, count: int, speed: float) -> Replayed:
