@@ -22,6 +22,7 @@ from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.startup import startup
 from benchmarks.transport import dragons, transport
+from benchmarks.workers import workers
 
 from slepian_prt.errors import UserError
 from slepian_prt.renderer.variants import chosen_variant
@@ -43,6 +44,7 @@ BENCHMARKS = {
     "page_pictures": page_pictures,
     "smoothing": smoothing,
     "all_views": all_views,
+    "workers": workers,
     "dragons": dragons,
     "scaling": scaling,
 }

@@ -42,7 +42,10 @@ class Admission:
         self._sharing: Counter[tuple[str, tuple[int, ...]]] = Counter()
 
     async def admit(self, addresses: Iterable[str]) -> dict[str, str]:
-        """Mark those workers that have what is needed; what is wrong with the others."""
+        """Mark those workers that have what is needed; what is wrong with the others.
+
+        One that does not answer, because it is about to begin or to end, is neither.
+        """
         found = await examine(self._client, addresses, self._variant)
         equipped = {address: what for address, what in found.items() if isinstance(what, Equipment)}
         self._sharing |= sharing_of(equipped.values())  # the larger: one that joins may stand in for one that died

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 # Results that are fetched at a time, so that many finished ones are not all here at once.
 _BATCH = 16
 
+# Seconds between looks at the workers while results come in.
+_LOOK = 5.0
+
 # Times that a value is brought to workers that die meanwhile.
 _ATTEMPTS = 5
 
@@ -115,6 +118,7 @@ class Crew:
         self._futures: weakref.WeakSet[Future] = weakref.WeakSet()
         self._values: dict[Shared, Any] = {}
         self._brought: dict[Shared, Future] = {}
+        self._next_look = 0.0
 
     @property
     def count(self) -> int:
@@ -197,18 +201,20 @@ class Crew:
             What a task raised, as it was.
         """
         finished: queue.SimpleQueue[int] = queue.SimpleQueue()
+        left, self._roster.deaths = len(futures), 0
+        self._roster.awaited += left
         try:
             for number in range(len(futures)):
                 self._watch(futures[number], number, finished)
-            self._roster.awaited, self._roster.deaths = len(futures), 0
-            while self._roster.awaited:
+            while left:
                 numbers = self._next(finished)
                 done = [number for number in numbers if self._is_done(futures[number], number, finished)]
                 for number, result in zip(done, self._fetch([futures[number] for number in done]), strict=True):
+                    left -= 1
                     self._roster.awaited -= 1
                     yield number, result
         except BaseException:
-            self._roster.awaited = 0
+            self._roster.awaited -= left
             self.cancel(futures)
             raise
 
@@ -247,13 +253,16 @@ class Crew:
 
     def _next(self, finished: queue.SimpleQueue[int]) -> list[int]:
         """Numbers of tasks that have ended, once there are any."""
-        while True:
+        numbers: list[int] = []
+        while not numbers:
             with contextlib.suppress(queue.Empty):
-                numbers = [finished.get(timeout=GLANCE)]
-                while len(numbers) < _BATCH and not finished.empty():
-                    numbers.append(finished.get())
-                return numbers
-            self.client.sync(self._roster.check)
+                numbers.append(finished.get(timeout=GLANCE))
+            if not numbers or time.monotonic() > self._next_look:
+                self.client.sync(self._roster.check)
+                self._next_look = time.monotonic() + _LOOK
+        while len(numbers) < _BATCH and not finished.empty():
+            numbers.append(finished.get())
+        return numbers
 
     def _is_done(self, future: Future, number: int, finished: queue.SimpleQueue[int]) -> bool:
         """Whether there is a result; if what stood against it can be put right, it is done again."""

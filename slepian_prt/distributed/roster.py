@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import importlib.metadata
 import logging
 import time
@@ -55,6 +54,8 @@ class Roster:
         self._client, self._is_ours = client, is_ours
         self.name = f"slepian_prt-{uuid.uuid4().hex}"
         self._chores: set[asyncio.Task[None]] = set()
+        self._seen: set[str] = set()
+        self._is_assembled = False
         self._alone_since: float | None = None
 
     async def assemble(self) -> None:
@@ -73,6 +74,7 @@ class Roster:
         addresses = await self._first_workers()
         if refused := await self.admission.admit(addresses):
             raise UserError("; ".join(f"the worker {address} {why}" for address, why in refused.items()))
+        self._is_assembled = True
         self.is_direct = self._is_ours or await self._reaches(addresses[0])
 
     async def dissolve(self) -> None:
@@ -135,6 +137,11 @@ class Roster:
     async def _workers(self) -> dict[str, Any]:
         scheduler: Any = self._client.scheduler
         workers: dict[str, Any] = (await scheduler.identity(n_workers=-1))["workers"]
+        self._seen &= workers.keys()
+        if self._is_assembled:  # some were there, but not running, or have come before we could hear of it
+            for address, worker in workers.items():
+                if worker["status"] == "running" and self.admission.mark not in worker["resources"]:
+                    self._look_at(address)
         return workers
 
     async def _first_workers(self) -> list[str]:
@@ -152,18 +159,26 @@ class Roster:
         """What the scheduler says of workers that come and go."""
         message = event[1]
         if "joined" in message:
-            chore = asyncio.create_task(self._admit_late(message["joined"]))
-            self._chores.add(chore)
-            chore.add_done_callback(self._chores.discard)
+            self._look_at(message["joined"])
         if "died" in message:
             self.deaths += 1
             if self.awaited:
                 log.info("a worker died; its unfinished blocks are done again")
 
+    def _look_at(self, address: str) -> None:
+        """Have a worker examined, once."""
+        if address not in self._seen:
+            self._seen.add(address)
+            chore = asyncio.create_task(self._admit_late(address))
+            self._chores.add(chore)
+            chore.add_done_callback(self._chores.discard)
+
     async def _admit_late(self, address: str) -> None:
-        with contextlib.suppress(OSError):  # it may be gone again
-            for worker, why in (await self.admission.admit([address])).items():
-                log.info("the worker %s is given no work: it %s", worker, why)
+        refused = await self.admission.admit([address])
+        for worker, why in refused.items():
+            log.info("the worker %s is given no work: it %s", worker, why)
+        if not refused:
+            self._seen.discard(address)  # without an answer it has no mark, and is looked at again
 
     async def _check_scheduler(self) -> None:
         """It reads tasks too."""

@@ -78,6 +78,16 @@ def test_futures_are_items_too_and_big_priorities_come_first(crew: Crew):
     crew.release(squares)
 
 
+def test_results_may_be_waited_for_while_others_are(crew: Crew):
+    squares = crew.share(SQUARES)
+    outer = []
+    for number, (square, _) in crew.results(crew.submit(tasks.look_up, range(6), squares)):
+        outer.append((number, square))
+        assert crew.gather(crew.submit(tasks.wait, [0.0, 0.0])) == [0.0, 0.0]
+    assert sorted(outer) == [(number, number**2) for number in range(6)]
+    crew.release(squares)
+
+
 def test_each_worker_of_a_machine_has_its_share_of_the_cores(crew: Crew):
     assert set(crew.gather(crew.submit(tasks.threads, range(4)))) == SHARE
 
@@ -130,7 +140,7 @@ def test_all_workers_die_at_once_and_others_get_the_value_again(crew: Crew):
 def test_workers_that_always_die_are_given_up(crew: Crew, monkeypatch):
     monkeypatch.setattr(roster, "_FEWEST_DEATHS", 1)
     monkeypatch.setattr(roster, "_DEATHS", 0)
-    with pytest.raises(UserError, match="^[2-4] workers died one after the other and nothing was finished"):
+    with pytest.raises(UserError, match=r"^[2-4] workers died one after the other and nothing was finished"):
         crew.gather(crew.submit(tasks.die, [0]))
     assert wait_until(lambda: crew.count == 2)
 
@@ -198,6 +208,18 @@ def test_a_worker_that_joins_late_gets_what_no_other_could_do(cluster):
         futures = crew.submit(tasks.wait, [0.0] * 3)
         cluster.scale(1)
         assert crew.gather(futures) == [0.0] * 3
+
+
+def test_a_worker_of_whom_nobody_heard_is_seen(cluster, monkeypatch):
+    """One that joins between the first look and the first news of others."""
+
+    async def hear_nothing(self: roster.Roster, event: tuple) -> None:
+        pass
+
+    monkeypatch.setattr(roster.Roster, "_hear", hear_nothing)
+    with open_crew(client=cluster) as crew:
+        cluster.scale(2)
+        assert wait_until(lambda: crew.count == 2)
 
 
 def test_no_worker_is_left(cluster, monkeypatch):
