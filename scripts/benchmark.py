@@ -14,10 +14,12 @@ from benchmarks.pages import pages
 from benchmarks.paths import paths
 from benchmarks.relighting import relighting
 from benchmarks.runtime import runtime
+from benchmarks.scaling import scaling
 from benchmarks.smoothing import smoothing
 from benchmarks.sphere import sphere
 from benchmarks.startup import startup
 from benchmarks.transport import dragons, transport
+from benchmarks.workers import workers
 
 BENCHMARKS = {
     "sphere": sphere,
@@ -34,7 +36,9 @@ BENCHMARKS = {
     "page_pictures": page_pictures,
     "smoothing": smoothing,
     "all_views": all_views,
+    "workers": workers,
     "dragons": dragons,
+    "scaling": scaling,
 }
 
 

@@ -127,6 +127,16 @@ fixed_lights_option = click.option(
     "[default: 1]",
 )
 
+# Who shares the work, see `crew_of`; the names are those of Dask's own commands.
+crew_options = together(
+    click.option("--workers", type=int, metavar="N", help="Share the work among N processes on this machine."),
+    click.option("--scheduler", metavar="ADDRESS", help="Share it among the workers of a Dask scheduler."),
+    click.option("--scheduler-file", type=click.Path(), help="The same; the file that the scheduler wrote."),
+    click.option("--tls-ca-file", type=click.Path(), help="Certificate authority of the scheduler, for TLS."),
+    click.option("--tls-cert", type=click.Path(), help="Our certificate."),
+    click.option("--tls-key", type=click.Path(), help="Its key.  [default: in the certificate's file]"),
+)
+
 # What transport is asked for: the fields of `TransportSettings`.
 transport_options = together(
     click.option("--bandlimit", default=10, show_default=True, help="Highest degree L of the spherical harmonics."),

@@ -9,6 +9,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+# Whose progress the rate is of: workers bring their blocks in bursts, and seldom where they are big.
+_SECONDS = 120.0
+
 
 class _Rate(ProgressColumn):
     """Items per second."""
@@ -30,7 +33,8 @@ def progress_bar(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], No
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+    is_hidden = not console.is_terminal
+    with Progress(*columns, console=console, disable=is_hidden, transient=True, speed_estimate_period=_SECONDS) as bar:
         task = None
 
         def advance(done: int, total: int) -> None:
@@ -40,7 +44,7 @@ def progress_bar(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], No
             bar.update(task, advance=done, total=total)
 
         def report(what: str) -> None:
-            if console.is_terminal:
+            if not is_hidden:
                 if task is not None:
                     bar.update(task, visible=False)
                 console.print(Text(what, style="dim"))

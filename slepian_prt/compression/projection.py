@@ -75,6 +75,11 @@ class Projection:
         statistics = BlockStatistics(traced.blocked[order].astype(np.float32), energy, np.maximum(missed, 0.0))
         return Block(vertices.astype(np.int32), statistics, np.concatenate(pieces), traced.rays)
 
+    def as_sent(self) -> Projection:
+        """The same without what only choosing the bases needs, and what is worked out anew faster than it is sent."""
+        bases = tuple(replace(basis) for basis in self.bases)
+        return replace(self, learned=self.learned.without_candidates(), bases=bases)
+
     @property
     def widths(self) -> NDArray[np.int64]:
         """(caps,) coefficients of a receiver of each cap."""

@@ -10,7 +10,7 @@ import logging
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -264,8 +264,7 @@ def trace_by_workers(
         cut = cut_receivers(source, projection)
         name = fingerprint(planned, projection, cut.blocks)
         with journal(name) as store:
-            sent = replace(projection, learned=learned.without_candidates())
-            job = crew.share(TracingJob(portable, sent, cut, name, str(store.folder)), name)
+            job = crew.share(TracingJob(portable, projection.as_sent(), cut, name, str(store.folder)), name)
             try:
                 blocks, facts = _trace(crew, job, cut, advance)
                 interior = find_interior_among(planned, [fact.dark for fact in facts])

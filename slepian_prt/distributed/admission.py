@@ -8,10 +8,11 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
+from collections import Counter
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from slepian_prt.distributed.examination import Equipment, examine, look_around, package_versions, threads_of
+from slepian_prt.distributed.examination import Equipment, examine, look_around, package_versions, sharing_of
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
@@ -38,16 +39,21 @@ class Admission:
         needed = repr((package_versions(), here.source, here.renderer))
         self.mark = f"slepian_prt-{hashlib.sha256(needed.encode()).hexdigest()[:12]}"
         self._processors = {here.processor}
+        self._sharing: Counter[tuple[str, tuple[int, ...]]] = Counter()
 
     async def admit(self, addresses: Iterable[str]) -> dict[str, str]:
-        """Mark those workers that have what is needed; what is wrong with the others."""
+        """Mark those workers that have what is needed; what is wrong with the others.
+
+        One that does not answer, because it is about to begin or to end, is neither.
+        """
         found = await examine(self._client, addresses, self._variant)
         equipped = {address: what for address, what in found.items() if isinstance(what, Equipment)}
-        threads = threads_of(equipped)
-        of_each: list[Any] = [
-            self._client.run(_equip, self.mark, threads[address], self._variant, workers=[address], on_error="ignore")
-            for address in equipped
-        ]
+        self._sharing |= sharing_of(equipped.values())  # the larger: one that joins may stand in for one that died
+        of_each: list[Any] = []
+        for address, has in equipped.items():
+            threads = max(1, len(has.cores) // self._sharing[has.machine, has.cores])
+            mark = (_equip, self.mark, threads, self._variant)
+            of_each.append(self._client.run(*mark, workers=[address], on_error="ignore"))
         await asyncio.gather(*of_each)
         if equipped:
             await self._client.run_on_scheduler(_wake, list(equipped))

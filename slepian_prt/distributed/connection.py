@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import queue
+import ssl
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 from slepian_prt.distributed.local_cluster import local_cluster
 from slepian_prt.distributed.quiet import quiet
 from slepian_prt.errors import UserError, check_integer
+from slepian_prt.files import check_readable
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Security
 
 # Seconds until a scheduler has to have answered.
 _PATIENCE = 10.0
@@ -92,12 +97,42 @@ def read_scheduler_file(path: str | Path) -> str:
     return address
 
 
+def make_security(ca_file: str | None, cert: str | None, key: str | None) -> Security | None:
+    """Certificates of all roles, for Dask; None if there are none, where Dask's own configuration decides.
+
+    Raises
+    ------
+    UserError
+        A file that is missing or holds no certificate, or one of them without the others.
+    """
+    if ca_file is None and cert is None and key is None:
+        return None
+    if ca_file is None or cert is None:
+        raise UserError("TLS needs a certificate and its authority; give `tls_ca_file` and `tls_cert`")
+    dask = dask_distributed()
+    for path in filter(None, (ca_file, cert, key)):
+        check_readable(path, "a .pem file")
+    roles = ("client", "scheduler", "worker")
+    of_roles = {f"tls_{role}_{kind}": path for role in roles for kind, path in (("cert", cert), ("key", key))}
+    security = dask.Security(tls_ca_file=ca_file, require_encryption=True, **of_roles)
+    try:
+        security.get_connection_args("client")
+    except (ssl.SSLError, OSError, ValueError) as error:
+        raise UserError(
+            f"{', '.join(filter(None, (ca_file, cert, key)))}: cannot be used for TLS ({_short(error)}); give .pem "
+            "files that belong together"
+        ) from None
+    return security
+
+
 def _connect(dask: ModuleType, client: Any, address: str, security: Any) -> Client:
     try:
+        if isinstance(client, str):
+            _ask(dask, address, security)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # versions are compared by us
             return dask.Client(client, security=security, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, TimeoutError) as error:
+    except (OSError, TimeoutError, asyncio.TimeoutError) as error:
         reason = f"no Dask scheduler answered at {address} within {_PATIENCE:.0f} s"
         if "ssl" in repr(error).lower() or "tls" in repr(error).lower():
             reason = f"the scheduler at {address} and we could not agree on TLS ({_short(error)})"
@@ -110,6 +145,30 @@ def _connect(dask: ModuleType, client: Any, address: str, security: Any) -> Clie
         raise UserError(
             f"{address}: is no address of a Dask scheduler ({_short(error)}); give one as tcp://HOST:8786"
         ) from None
+
+
+def _ask(dask: ModuleType, address: str, security: Any) -> None:
+    """Raise what keeps us from a scheduler; Dask's client would wait for ever for one that accepts and is silent."""
+
+    async def ask() -> None:
+        arguments = (security or dask.Security()).get_connection_args("client")
+        comm = await asyncio.wait_for(connect(address, timeout=_PATIENCE, **arguments), _PATIENCE)
+        await comm.close()
+
+    def answer() -> None:
+        try:
+            asyncio.run(ask())
+        except Exception as error:
+            answers.put(error)
+        else:
+            answers.put(None)
+
+    from distributed.comm import connect
+
+    answers: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
+    threading.Thread(target=answer, daemon=True).start()  # ours may have a loop already, as in a notebook
+    if fault := answers.get():
+        raise fault
 
 
 def _short(error: BaseException) -> str:

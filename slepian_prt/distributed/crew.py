@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 # Results that are fetched at a time, so that many finished ones are not all here at once.
 _BATCH = 16
 
+# Seconds between looks at the workers while results come in.
+_LOOK = 5.0
+
 # Times that a value is brought to workers that die meanwhile.
 _ATTEMPTS = 5
 
@@ -67,9 +70,10 @@ def open_crew(
     sources = {"workers": workers, "client": client, "scheduler": scheduler, "scheduler_file": scheduler_file}
     given = [name for name, value in sources.items() if value is not None]
     if len(given) != 1:
+        named = " and ".join(f"`{name}`" for name in given)
         raise UserError(
-            f"{' and '.join(f'`{name}`' for name in given) or 'nothing'} is given; give one of `workers`, `client`, "
-            "`scheduler` and `scheduler_file`"
+            f"{f'{named} are' if given else 'nothing is'} given; give one of `workers`, `client`, `scheduler` and "
+            "`scheduler_file`"
         )
     from slepian_prt.renderer.variants import usable_variant
 
@@ -90,6 +94,16 @@ def open_crew(
         crew.disband()
 
 
+@contextmanager
+def crew_or_none(client: Any) -> Iterator[Crew | None]:
+    """The crew of what users give as ``client``, see `open_crew`; a crew as it is, and None for nothing."""
+    if client is None or isinstance(client, Crew):
+        yield client
+        return
+    with open_crew(client=client) as crew:
+        yield crew
+
+
 class Crew:
     """Workers that were found to have what is needed; `open_crew` makes it.
 
@@ -104,6 +118,7 @@ class Crew:
         self._futures: weakref.WeakSet[Future] = weakref.WeakSet()
         self._values: dict[Shared, Any] = {}
         self._brought: dict[Shared, Future] = {}
+        self._next_look = 0.0
 
     @property
     def count(self) -> int:
@@ -127,7 +142,7 @@ class Crew:
         digest : str, optional
             Of what it holds: the same is not brought again.
         """
-        shared = Shared(f"slepian_prt-shared-{digest or uuid.uuid4().hex}")
+        shared = Shared(f"{self._roster.name}-{digest or uuid.uuid4().hex}")
         if shared not in self._values:
             self._values[shared] = value
             self._bring(shared)
@@ -189,7 +204,7 @@ class Crew:
         try:
             for number in range(len(futures)):
                 self._watch(futures[number], number, finished)
-            self._roster.awaited = len(futures)
+            self._roster.awaited, self._roster.deaths = len(futures), 0
             while self._roster.awaited:
                 numbers = self._next(finished)
                 done = [number for number in numbers if self._is_done(futures[number], number, finished)]
@@ -215,16 +230,18 @@ class Crew:
         """Let workers close and forget a value."""
         self._values.pop(shared, None)
         self._brought.pop(shared, None)
-        if self.client.status == "running":
-            self.client.run(forget, [shared.name], wait=False, workers=self._addresses(), on_error="ignore")
+        self._let_go(shared.name)
 
     def disband(self) -> None:
         """Leave nothing in the cluster."""
         if self.client.status == "running":
             self.client.sync(self._roster.dissolve)
             self.cancel(list(self._futures))
-            for shared in list(self._values):
-                self.release(shared)
+            self._let_go(self._roster.name)
+
+    def _let_go(self, prefix: str) -> None:
+        if self.client.status == "running" and (addresses := self._addresses()):
+            self.client.run(forget, prefix, wait=False, workers=addresses, on_error="ignore")
 
     def _addresses(self) -> list[str]:
         return self.client.sync(self._roster.addresses)
@@ -234,13 +251,16 @@ class Crew:
 
     def _next(self, finished: queue.SimpleQueue[int]) -> list[int]:
         """Numbers of tasks that have ended, once there are any."""
-        while True:
+        numbers: list[int] = []
+        while not numbers:
             with contextlib.suppress(queue.Empty):
-                numbers = [finished.get(timeout=GLANCE)]
-                while len(numbers) < _BATCH and not finished.empty():
-                    numbers.append(finished.get())
-                return numbers
-            self.client.sync(self._roster.check)
+                numbers.append(finished.get(timeout=GLANCE))
+            if not numbers or time.monotonic() > self._next_look:
+                self.client.sync(self._roster.check)
+                self._next_look = time.monotonic() + _LOOK
+        while len(numbers) < _BATCH and not finished.empty():
+            numbers.append(finished.get())
+        return numbers
 
     def _is_done(self, future: Future, number: int, finished: queue.SimpleQueue[int]) -> bool:
         """Whether there is a result; if what stood against it can be put right, it is done again."""

@@ -44,6 +44,7 @@ class Equipment:
     cores : tuple of int
         Those that this process may use.
     machine : str
+        What it is called.
     """
 
     source: str
@@ -103,12 +104,9 @@ async def examine(client: Client, addresses: Iterable[str], variant: str) -> dic
     return found
 
 
-def threads_of(equipments: Mapping[str, Equipment]) -> dict[str, int]:
-    """How many threads each of these workers has for itself, where several share the cores of a machine."""
-    sharing = Counter((each.machine, each.cores) for each in equipments.values())
-    return {
-        address: max(1, len(each.cores) // sharing[each.machine, each.cores]) for address, each in equipments.items()
-    }
+def sharing_of(equipments: Iterable[Equipment]) -> Counter[tuple[str, tuple[int, ...]]]:
+    """How many of these workers there are for the same cores of the same machine."""
+    return Counter((each.machine, each.cores) for each in equipments)
 
 
 def _difference(own: Mapping[str, str], theirs: Mapping[str, Any]) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,11 +42,11 @@ def keep(name: str, dask_worker: Any = None) -> None:
         _values[name] = dask_worker.data[name]
 
 
-async def forget(names: list[str], dask_worker: Any = None) -> None:
-    """Give values up; one that is open is closed in its thread, after what runs there."""
-    for name in names:
-        _values.pop(name, None)
-    dask_worker.executors["default"].submit(_close, names)
+async def forget(prefix: str, dask_worker: Any = None) -> None:
+    """Give up the values whose names begin so; one that is open is closed in its thread, after what runs there."""
+    for name in _beginning(_values, prefix):
+        del _values[name]
+    dask_worker.executors["default"].submit(_close, prefix)
 
 
 def value_of(shared: Shared) -> Any:
@@ -56,17 +57,36 @@ def value_of(shared: Shared) -> Any:
 def _opened(name: str) -> Any:
     if name not in _open:
         value = _value(name)
-        _close(list(_open))
+        _close("")
         stack = contextlib.ExitStack()
-        opened = stack.enter_context(value.open()) if hasattr(value, "open") else value
+        with _threads_to_load():
+            opened = stack.enter_context(value.open()) if hasattr(value, "open") else value
         _open[name] = opened, stack
     return _open[name][0]
 
 
-def _close(names: list[str]) -> None:
-    for name in names:
-        if name in _open:
-            _open.pop(name)[1].close()
+@contextlib.contextmanager
+def _threads_to_load() -> Iterator[None]:
+    """Two threads of Mitsuba's, where there is one: with it alone Mitsuba 3.9 waits for ever when it reads an .exr."""
+    drjit = sys.modules.get("drjit")
+    before = 0 if drjit is None else drjit.thread_count()
+    if drjit is None or before != 1:
+        yield
+        return
+    drjit.set_thread_count(2)
+    try:
+        yield
+    finally:
+        drjit.set_thread_count(before)
+
+
+def _close(prefix: str) -> None:
+    for name in _beginning(_open, prefix):
+        _open.pop(name)[1].close()
+
+
+def _beginning(names: Iterable[str], prefix: str) -> list[str]:
+    return [name for name in names if name.startswith(prefix)]
 
 
 def _value(name: str) -> Any:

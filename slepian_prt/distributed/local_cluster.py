@@ -42,7 +42,10 @@ def local_cluster(workers: int, security: Any = None) -> Iterator[LocalCluster]:
     with kept_environment(), contextlib.ExitStack() as stack:
         folder = tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-")
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"  # of the children, from their first moment
+        # Of the children, from their first moment; the last of them counts semaphores when we are killed.
+        os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"
+        ignored = "ignore::UserWarning:multiprocessing.resource_tracker"
+        os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), ignored)))
         with _interrupts_held(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that the port is in use: another one is taken
             cluster = LocalCluster(

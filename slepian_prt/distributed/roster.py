@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import importlib.metadata
 import logging
 import time
@@ -37,6 +36,8 @@ class Roster:
 
     Attributes
     ----------
+    name : str
+        Which what is shared on these workers begins with.
     admission : Admission
     is_direct : bool
         Whether workers can be reached from here, or only the scheduler can.
@@ -51,8 +52,10 @@ class Roster:
         self.is_direct = True
         self.deaths = self.awaited = 0
         self._client, self._is_ours = client, is_ours
-        self._topic = f"slepian_prt-watch-{uuid.uuid4().hex}"
+        self.name = f"slepian_prt-{uuid.uuid4().hex}"
         self._chores: set[asyncio.Task[None]] = set()
+        self._seen: set[str] = set()
+        self._is_assembled = False
         self._alone_since: float | None = None
 
     async def assemble(self) -> None:
@@ -66,17 +69,18 @@ class Roster:
         from slepian_prt.distributed.watch import Watch
 
         await self._check_scheduler()
-        self._client.subscribe_topic(self._topic, self._hear)
-        await self._client.register_plugin(Watch(self._topic, self._client.id))
+        self._client.subscribe_topic(self.name, self._hear)
+        await self._client.register_plugin(Watch(self.name, self._client.id))
         addresses = await self._first_workers()
         if refused := await self.admission.admit(addresses):
             raise UserError("; ".join(f"the worker {address} {why}" for address, why in refused.items()))
+        self._is_assembled = True
         self.is_direct = self._is_ours or await self._reaches(addresses[0])
 
     async def dissolve(self) -> None:
         """Hear of nobody any more."""
-        self._client.unsubscribe_topic(self._topic)
-        await self._client.unregister_scheduler_plugin(self._topic)
+        self._client.unsubscribe_topic(self.name)
+        await self._client.unregister_scheduler_plugin(self.name)
 
     async def addresses(self) -> list[str]:
         """Of workers that are given work, now."""
@@ -133,6 +137,11 @@ class Roster:
     async def _workers(self) -> dict[str, Any]:
         scheduler: Any = self._client.scheduler
         workers: dict[str, Any] = (await scheduler.identity(n_workers=-1))["workers"]
+        self._seen &= workers.keys()
+        if self._is_assembled:  # some were there, but not running, or have come before we could hear of it
+            for address, worker in workers.items():
+                if worker["status"] == "running" and self.admission.mark not in worker["resources"]:
+                    self._look_at(address)
         return workers
 
     async def _first_workers(self) -> list[str]:
@@ -150,18 +159,26 @@ class Roster:
         """What the scheduler says of workers that come and go."""
         message = event[1]
         if "joined" in message:
-            chore = asyncio.create_task(self._admit_late(message["joined"]))
-            self._chores.add(chore)
-            chore.add_done_callback(self._chores.discard)
+            self._look_at(message["joined"])
         if "died" in message:
             self.deaths += 1
             if self.awaited:
                 log.info("a worker died; its unfinished blocks are done again")
 
+    def _look_at(self, address: str) -> None:
+        """Have a worker examined, once."""
+        if address not in self._seen:
+            self._seen.add(address)
+            chore = asyncio.create_task(self._admit_late(address))
+            self._chores.add(chore)
+            chore.add_done_callback(self._chores.discard)
+
     async def _admit_late(self, address: str) -> None:
-        with contextlib.suppress(OSError):  # it may be gone again
-            for worker, why in (await self.admission.admit([address])).items():
-                log.info("the worker %s is given no work: it %s", worker, why)
+        refused = await self.admission.admit([address])
+        for worker, why in refused.items():
+            log.info("the worker %s is given no work: it %s", worker, why)
+        if not refused:
+            self._seen.discard(address)  # without an answer it has no mark, and is looked at again
 
     async def _check_scheduler(self) -> None:
         """It reads tasks too."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from distributed.diagnostics.plugin import SchedulerPlugin
+from distributed.protocol.pickle import dumps
+
+from slepian_prt.distributed.held import forget
 
 
 class Watch(SchedulerPlugin):
@@ -15,6 +18,7 @@ class Watch(SchedulerPlugin):
     Parameters
     ----------
     topic : str
+        Which the names of the values that it shared begin with, too.
     client : str
         The id of the client.
     """
@@ -32,6 +36,8 @@ class Watch(SchedulerPlugin):
             scheduler.log_event(self.name, {"died": worker})
 
     def remove_client(self, scheduler: Any, client: str) -> None:
-        """Ours has gone, perhaps killed: nothing of it stays."""
+        """Ours has gone, perhaps killed: nothing of it stays here or on workers."""
         if client == self._client:
             scheduler.remove_plugin(name=self.name)
+            message = {"op": "run", "function": dumps(forget), "args": dumps((self.name,)), "kwargs": dumps({})}
+            scheduler.loop.add_callback(scheduler.broadcast, msg={**message, "wait": False}, on_error="ignore")

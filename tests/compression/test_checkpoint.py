@@ -71,7 +71,9 @@ def test_blocks_of_a_job_that_was_killed_are_kept(cache, rng):
     assert list(cache.iterdir()) == []  # the job is done
 
 
-@pytest.mark.parametrize("damage", ["cut", "longer", "coefficient", "number", "rays", "sizes", "foreign", "empty", "huge"])
+@pytest.mark.parametrize(
+    "damage", ["cut", "longer", "coefficient", "number", "rays", "sizes", "foreign", "empty", "huge"]
+)
 def test_a_damaged_journal_keeps_what_is_whole(damage, cache, rng):
     killed_after({number: block(rng, 50, 8) for number in range(4)})
     path = cache / "job.blocks" / "000002.block"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import astuple
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,8 @@ def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple
         "samples": packed.samples,
         "seed": packed.seed,
         "rays_traced": packed.rays_traced,
-        "seconds": packed.seconds,
+        # The same work gives the same file where builds are to be reproducible (reproducible-builds.org).
+        "seconds": {} if "SOURCE_DATE_EPOCH" in os.environ else packed.seconds,
         "source": packed.source,
         "parameters": dict(packed.parameters),
         "view": None if packed.view is None else packed.view.as_dict(),

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.scene.formats.joining import join_equal
+from slepian_prt.scene.formats.joining import group, join_equal
 from slepian_prt.scene.receivers import morton
 
 # DracoPy passes whole numbers through float32.
@@ -21,6 +21,9 @@ LARGEST_PLACE = (1 << 24) - 1
 
 # Draco's own; 10 is the smallest and slowest, of about 1.7 million vertices per second.
 _LEVEL = 10
+
+# Three numbers of vertices of so many bits are one number.
+_BITS = 21
 
 
 class Coded(NamedTuple):
@@ -138,8 +141,7 @@ def _numbers_among_equals(labels: NDArray) -> NDArray[np.int64]:
 
 def _missing_faces(faces: NDArray, found: NDArray) -> NDArray[np.int64] | None:
     """Which ``faces`` are not among those ``found``, as often as they are there; None if others were found."""
-    both = turned(np.concatenate([faces, found]))
-    kinds = join_equal(both)[1]
+    kinds = _kinds_of(turned(np.concatenate([faces, found])))
     own, other = kinds[: len(faces)], kinds[len(faces) :]
     wanted = np.bincount(own, minlength=int(kinds.max(initial=0)) + 1)
     there = np.bincount(other, minlength=wanted.size)
@@ -148,10 +150,20 @@ def _missing_faces(faces: NDArray, found: NDArray) -> NDArray[np.int64] | None:
     return np.flatnonzero(_numbers_among_equals(own) >= there[own])
 
 
+def _kinds_of(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A number for each distinct face (f, 3)."""
+    if faces.max(initial=0) >> _BITS:
+        return join_equal(faces)[1]
+    return group((faces[:, 0] << 2 * _BITS) | (faces[:, 1] << _BITS) | faces[:, 2])[1]
+
+
 def turned(faces: NDArray) -> NDArray[np.int64]:
     """Faces with their smallest vertex first, turned the same way round."""
-    first = np.argmin(faces, axis=1)
-    return faces[np.arange(len(faces))[:, None], (first[:, None] + np.arange(3)) % 3]
+    first, result = np.argmin(faces, axis=1), faces.copy()
+    for corner in (1, 2):
+        rows = first == corner
+        result[rows] = np.roll(faces[rows], -corner, axis=1)
+    return result
 
 
 def _joined(places: NDArray, copies: NDArray, faces: NDArray) -> tuple[NDArray, NDArray, NDArray]:

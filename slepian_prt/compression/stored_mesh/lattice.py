@@ -78,7 +78,7 @@ def find_lattices(positions: NDArray[np.float64], faces: Sequence[NDArray]) -> l
     step = max(extent / STEPS, 2.0**-1000) if extent > 0.0 else 1.0
     lattices = []
     for points, own in zip(used, faces, strict=True):
-        lattice = Lattice(low, step, _shift(points, positions[own], step))
+        lattice = Lattice(low, step, _shift(points, positions, own, step))
         lattices.append(lattice._replace(first=lattice.places(points).min(axis=0)) if len(points) else lattice)
     return lattices
 
@@ -93,13 +93,16 @@ def _vertices(faces: NDArray) -> NDArray[np.int64]:
     return np.flatnonzero(used) + first
 
 
-def _shift(points: NDArray[np.float64], corners: NDArray[np.float64], step: float) -> int:
+def _shift(points: NDArray[np.float64], positions: NDArray[np.float64], faces: NDArray, step: float) -> int:
     extent = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if extent <= 0.0:
         return 0
     needed = max(0, math.floor(math.log2(STEPS * step / extent) + 1e-9))
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).ravel()
-    edges = edges[edges > 0.0]
+    lengths = np.empty(faces.shape)
+    for corner in range(3):  # one after the other: all corners of all faces take six times the memory
+        away = positions[faces[:, corner]] - positions[faces[:, corner - 1]]
+        lengths[:, corner] = np.linalg.norm(away, axis=1)
+    edges = lengths[lengths > 0.0]
     if edges.size == 0:
         return min(needed, _FINEST)
     short = np.partition(edges, int(_SHORT * edges.size))[int(_SHORT * edges.size)]

@@ -32,7 +32,10 @@ def join_equal(*columns: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]
         keys = (keys ^ column) * np.uint64(0x9E3779B97F4A7C15)
         keys ^= keys >> np.uint64(29)
     first, joined = group(keys)
-    if not np.all(bits[first[joined]] == bits):  # two rows of one hash: one in 10^8 meshes of a million vertices
+    same = first[joined]
+    if not all(
+        np.all(column[same] == column) for column in bits.T
+    ):  # two rows of one hash: one in 10^8 meshes of a million vertices
         first, joined = group(np.unique(bits, axis=0, return_inverse=True)[1].ravel())
     return first, joined
 

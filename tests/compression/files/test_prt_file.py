@@ -2,6 +2,7 @@ import contextlib
 import io
 import json
 import zipfile
+from dataclasses import replace
 
 import DracoPy
 import numpy as np
@@ -178,3 +179,16 @@ def test_files_of_other_versions_are_told_of_in_one_sentence(version, remedy, tm
         load(tmp_path / "other.prt")
     expected = f"has format version {version}, this program reads {container_file.VERSION}; {remedy}"
     assert str(told.value) == f"{tmp_path / 'other.prt'}: {expected}"
+
+
+def test_the_same_work_gives_the_same_file_where_builds_are_reproducible(tmp_path, monkeypatch):
+    """By the convention of reproducible-builds.org; else files say how long the work took."""
+    packed = compress(precompute(sphere(2), 4, 16), clusters=4)
+    slower = replace(packed, seconds={"transport": 9.0})
+    packed.save(tmp_path / "a.prt")
+    assert load(tmp_path / "a.prt").seconds == packed.seconds
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    for name, each in (("b.prt", packed), ("c.prt", slower)):
+        each.save(tmp_path / name)
+    assert (tmp_path / "b.prt").read_bytes() == (tmp_path / "c.prt").read_bytes()
+    assert load(tmp_path / "b.prt").seconds == {}

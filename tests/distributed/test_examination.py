@@ -1,0 +1,73 @@
+"""What workers must have."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+
+import pytest
+
+from slepian_prt.distributed import admission, examination
+from slepian_prt.distributed.crew import open_crew
+from slepian_prt.distributed.examination import look_around, package_versions, sharing_of
+from slepian_prt.errors import UserError
+
+HERE = look_around("llvm_ad_rgb")
+
+
+def test_this_process_has_what_it_has():
+    assert HERE.renderer.startswith("LLVM ")
+    assert not HERE.failure
+    assert len(HERE.source) == 16
+    assert HERE.cores
+    assert set(package_versions()) == {"Python", "slepian_prt", "mitsuba", "drjit", "numpy"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"renderer": "LLVM 1"}, "has LLVM 1, and here is LLVM"),
+        ({"source": "0"}, "has other files of slepian_prt, under the same version"),
+        ({"renderer": "", "failure": "Mitsuba has no working LLVM"}, "Mitsuba has no working LLVM"),
+    ],
+)
+def test_a_worker_with_something_else_is_refused(cluster, monkeypatch, change, words):
+    async def other(variant: str) -> examination.Equipment:
+        return dataclasses.replace(HERE, **change)
+
+    monkeypatch.setattr(examination, "look_around_aside", other)
+    address = next(iter(cluster.scheduler.workers))
+    with pytest.raises(UserError, match=f"^the worker {address} {words}"), open_crew(client=cluster):
+        pass
+
+
+def test_a_worker_without_the_package_is_refused(cluster, monkeypatch):
+    own = {**package_versions(), "no-such-package": "1"}
+    monkeypatch.setattr(examination, "PACKAGES", (*examination.PACKAGES, "no-such-package"))
+    for module in (admission, examination):
+        monkeypatch.setattr(module, "package_versions", lambda: own)
+    words = "has no no-such-package, and here is 1; install the same there"
+    with pytest.raises(UserError, match=words), open_crew(client=cluster):
+        pass
+
+
+def test_other_processors_are_noted_once(cluster, monkeypatch, caplog):
+    caplog.set_level(logging.INFO, "slepian_prt")
+    other = dataclasses.replace(HERE, processor="riscv64")
+    monkeypatch.setattr(admission, "look_around", lambda variant: other)
+    with open_crew(client=cluster) as crew:
+        cluster.scale(2)
+        while crew.count < 2:
+            pass
+    assert [record.message for record in caplog.records] == [
+        f"processors differ ({', '.join(sorted([HERE.processor, 'riscv64']))}): results are equal to rounding, not to "
+        "the bit"
+    ]
+
+
+def test_cores_are_shared_by_workers_that_may_use_the_same():
+    def on(machine: str, *cores: int) -> examination.Equipment:
+        return dataclasses.replace(HERE, machine=machine, cores=cores)
+
+    workers = [on("x", 0, 1, 2, 3), on("x", 0, 1, 2, 3), on("y", 0, 1), on("z", 0), on("z", 1)]
+    assert sharing_of(workers) == {("x", (0, 1, 2, 3)): 2, ("y", (0, 1)): 1, ("z", (0,)): 1, ("z", (1,)): 1}

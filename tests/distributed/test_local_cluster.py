@@ -1,0 +1,69 @@
+"""Workers of this machine end with the command, whatever ends it, and nothing of Dask's is heard."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import psutil
+import pytest
+
+from slepian_prt.distributed.local_cluster import _forget_stale
+from slepian_prt.distributed.quiet import kept_environment
+from tests.distributed.test_crew import wait_until
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_workers_end_at_once_with_the_command(how, tmp_path):
+    """A terminal sends an interrupt to all processes of a command, the others come to one."""
+    command = subprocess.Popen(
+        [sys.executable, "-m", "tests.distributed.long_work"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    assert command.stdout is not None
+    workers = [int(word) for word in command.stdout.readline().split()]
+    assert len(workers) == 2
+    assert len(list(tmp_path.glob("slepian-prt-workers-*"))) == 1
+    if how == signal.SIGINT:
+        os.killpg(command.pid, how)
+    else:
+        command.send_signal(how)
+    _, heard = command.communicate(timeout=10)
+    assert command.returncode == -how
+    assert wait_until(lambda: not any(psutil.pid_exists(process) for process in workers), 5.0)
+    if how == signal.SIGINT:
+        assert heard.splitlines()[-1] == "KeyboardInterrupt"
+        assert heard.count("Traceback") == 1
+        assert not list(tmp_path.glob("slepian-prt-workers-*"))
+    else:
+        assert heard == ""
+
+
+def test_folders_of_processes_that_were_killed_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    names = [f"slepian-prt-workers-{number}-x" for number in (ended.pid, os.getpid())] + ["slepian-prt-workers-y-x"]
+    for name in names:
+        (tmp_path / name / "deep").mkdir(parents=True)
+    _forget_stale()
+    assert {path.name for path in Path(tmp_path).iterdir()} == set(names[1:])
+
+
+def test_the_environment_is_as_before(monkeypatch):
+    monkeypatch.setenv("KEPT", "1")
+    monkeypatch.setenv("CHANGED", "1")
+    before = dict(os.environ)
+    with kept_environment():
+        os.environ.update(CHANGED="2", ADDED="3")
+        del os.environ["KEPT"]
+    assert dict(os.environ) == before
