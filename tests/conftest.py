@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from slepian_prt.distributed.crew import Crew, open_crew
 from slepian_prt.errors import UserError
 from slepian_prt.renderer.variants import chosen_variant, cuda_failure, imported_mitsuba, usable_variant
 from slepian_prt.scene.mesh import Mesh, make_mesh
@@ -50,6 +51,14 @@ def browser() -> Iterator[Any]:
     """Playwright's headless Chromium, one for a process: a second would be refused. Tests without one are skipped."""
     with open_chromium() as chromium:
         yield chromium
+
+
+@pytest.fixture(scope="session")
+def crew() -> Iterator[Crew]:
+    """Two workers of a local cluster, in processes of their own, started once."""
+    pytest.importorskip("distributed")
+    with open_crew(workers=2) as opened:
+        yield opened
 
 
 @pytest.fixture

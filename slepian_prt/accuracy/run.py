@@ -27,6 +27,7 @@ from slepian_prt.compression.stream import encode_planned, encode_transfer, proj
 from slepian_prt.compression.tracing import Projected
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.vertex_error import ErrorMetric
+from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
@@ -99,7 +100,7 @@ def precompute_within(
     _check(settings)
     hooks = _Hooks(on_plan, on_choice, advance, report, scene, crew)
     started = time.perf_counter() if started is None else started
-    with plan_scene(scene, transport) as planned:
+    with plan_scene(scene, transport) as here, by_workers(here, None if here.by_blocks else crew, scene) as planned:
         light = _resolve(light, planned)
         report("reference of the pilot")
         size = tuning.large_pilot_vertices if (goal.error or 1.0) <= tuning.small_error else tuning.pilot_vertices

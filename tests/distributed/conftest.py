@@ -1,4 +1,4 @@
-"""Workers in processes of their own, started once; and a cluster of other people's, in threads."""
+"""A cluster of other people's, in threads."""
 
 from __future__ import annotations
 
@@ -7,16 +7,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-
-from slepian_prt.distributed.crew import Crew, open_crew
-
-
-@pytest.fixture(scope="session")
-def crew() -> Iterator[Crew]:
-    """Two workers of a local cluster."""
-    pytest.importorskip("distributed")
-    with open_crew(workers=2) as opened:
-        yield opened
 
 
 @pytest.fixture

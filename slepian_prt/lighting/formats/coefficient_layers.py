@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output
+from slepian_prt.renderer.threads import two_threads
 from slepian_prt.renderer.variants import bitmap_module
 
 # What part of the light right behind a pixel it shows.
@@ -50,7 +51,8 @@ def write_coefficients(
     pixels = np.ascontiguousarray(layers.reshape(height, width, -1), dtype=np.float32)
     bitmap = mi.Bitmap(pixels, mi.Bitmap.PixelFormat.MultiChannel, names)
     stream = mi.MemoryStream()
-    bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    with two_threads():
+        bitmap.write(stream, mi.Bitmap.FileFormat.OpenEXR)
     stream.seek(0)
     with atomic_output(path) as file:
         file.write(stream.raw_buffer())

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output
+from slepian_prt.renderer.threads import two_threads
 
 # What may stand behind a model beside a colour: nothing, or the environment.
 TRANSPARENT = "transparent"
@@ -197,7 +198,8 @@ def write_picture(path: str | Path, picture: Picture, scale: float | None = None
     else:
         raise UserError(f"{path}: pictures are written as .png or .exr, not '{path.suffix}'")
     stream = mi.MemoryStream()
-    bitmap.write(stream, encoded)
+    with two_threads():
+        bitmap.write(stream, encoded)
     stream.seek(0)
     with atomic_output(path) as file:
         file.write(stream.raw_buffer())

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.threads import two_threads
 from slepian_prt.scene.mitsuba.errors import load_failure, unused_parameters
 from slepian_prt.scene.mitsuba.objects import is_of_mitsuba, live_objects, scene_of
 from slepian_prt.scene.mitsuba.recentering import far_center, move_scene
@@ -197,7 +198,8 @@ def _made(mi: Any, state: Any, origin: str) -> Any:
         return None
 
     try:
-        made = mi.parser.instantiate(_configuration(mi), state)
+        with two_threads():
+            made = mi.parser.instantiate(_configuration(mi), state)
     except Exception as error:  # whatever plugins raise
         raise load_failure(error, origin, mi.variant(), file_at) from None
     return scene_of(mi, made, origin)
