@@ -177,14 +177,14 @@ class DeviceTables:
         corners = self._cut_triangles(found)
         dr.eval(sums, closed)
         packets = self._columns // PACKET
-        row = slot * dr.opaque(mi.UInt32, packets + 1)
+        stride, row = dr.opaque(mi.UInt32, packets), slot * dr.opaque(mi.UInt32, packets + 1)
         value = dr.gather(mi.Vector4f, sums, row + packet, active)
         turns = dr.gather(mi.Float, sums, (row + packets) * PACKET, active)
         entry, end = (dr.gather(mi.UInt32, ends, slot, active) for ends in (corners.begin, corners.end))
 
         def add(entry: Any, value: Any, turns: Any) -> tuple[Any, ...]:
             sign = dr.gather(mi.Float, corners.signs, entry)
-            place = dr.gather(mi.UInt32, corners.rows, entry) * dr.opaque(mi.UInt32, packets) + packet
+            place = dr.gather(mi.UInt32, corners.rows, entry) * stride + packet
             value = dr.fma(mi.Vector4f(sign), dr.gather(mi.Vector4f, self._corners, place), value)
             return entry + 1, value, dr.fma(sign, 1.0 / 6.0, turns)
 
