@@ -97,9 +97,9 @@ def chosen_variant(name: str | None) -> Iterator[None]:
     if name is None:
         yield
         return
-    mi = imported_mitsuba()
+    wanted, mi = _usable(name, "variant"), imported_mitsuba()
     before, given = mi.variant(), os.environ.get("SLEPIAN_PRT_VARIANT")
-    mi.set_variant(_usable(name, "variant"))
+    mi.set_variant(wanted)
     os.environ["SLEPIAN_PRT_VARIANT"] = name
     try:
         yield

@@ -23,6 +23,7 @@ from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import hemisphere_fibonacci
 from slepian_prt.sphere.rotation import rotate_sh
+from slepian_prt.transport.device.rotation import DeviceRotation, angles_of, padded_rows
 from slepian_prt.transport.effects import SIMULATED, Plan
 from slepian_prt.transport.estimator import Estimator, TransferBlock, cut_pieces, receivers_per_block
 from slepian_prt.transport.hemisphere import turned_frames, upload_frames, upload_origins
@@ -40,7 +41,7 @@ class _ViewSamples(NamedTuple):
 
     vertices: NDArray[np.int64]
     facing: NDArray[np.int64]
-    weights: tuple[NDArray[np.float32], NDArray[np.float32]]
+    weights: tuple[Any, Any]
     rays: int
 
 
@@ -56,6 +57,8 @@ class ViewTransfer(Estimator[_ViewSamples]):
         Rays per receiver, half about the normal and half about the reflection direction.
     seed : int
     shadows : bool
+    on_device : bool, optional
+        Whether weights of directions become vectors where they were traced; by default under CUDA.
 
     Raises
     ------
@@ -66,9 +69,18 @@ class ViewTransfer(Estimator[_ViewSamples]):
     channels = 3
 
     def __init__(
-        self, scene: Scene, view: View, bandlimit: int, samples: int, seed: int, *, shadows: bool = True
+        self,
+        scene: Scene,
+        view: View,
+        bandlimit: int,
+        samples: int,
+        seed: int,
+        *,
+        shadows: bool = True,
+        on_device: bool | None = None,
     ) -> None:
         mi = scene.mi
+        self._on_device = mi.variant().startswith("cuda_") if on_device is None else on_device
         self.scene, self.bandlimit = scene, bandlimit
         self._mi, self._shadows, self._rays = mi, shadows, 0
         self._half = max(4, samples // 2)
@@ -118,6 +130,11 @@ class ViewTransfer(Estimator[_ViewSamples]):
         """All receivers, or some, in pieces of about as many rays."""
         return cut_pieces(self.scene, self._is_facing, self.block_size, receivers)
 
+    @property
+    def stays_on_device(self) -> bool:
+        """Whether vectors are made where rays are traced."""
+        return self._on_device
+
     def trace(self, vertices: NDArray) -> _ViewSamples:
         """Weigh the light of each direction of both sets, for those of the receivers that face the camera."""
         before, facing = self._rays, np.flatnonzero(self._is_facing[vertices])
@@ -129,17 +146,36 @@ class ViewTransfer(Estimator[_ViewSamples]):
         """The weights of both sets as transfer vectors."""
         vertices, facing = samples.vertices, samples.facing
         vectors = np.zeros((vertices.size, 3, self._tables[0].shape[1]), dtype=np.float32)
+        if self._on_device and facing.size:
+            vectors[facing] = self._project_on_device(vertices[facing], samples.weights)
+            return TransferBlock(vertices, vectors, np.zeros(vertices.size, dtype=np.float32), samples.rays)
         for number, weights in enumerate(samples.weights if facing.size else ()):
             local = (weights.reshape(-1, self._half) @ self._tables[number]).reshape(facing.size, 3, -1)
             vectors[facing] += rotate_sh(local, self._frames(vertices[facing], number)[:, None])
         return TransferBlock(vertices, vectors, np.zeros(vertices.size, dtype=np.float32), samples.rays)
 
+    def _project_on_device(self, vertices: NDArray, weights: tuple[Any, Any]) -> NDArray[np.float32]:
+        """(n, 3, (L+1)²) from the weights of both sets, tensors (3 n, half)."""
+        import drjit as dr
+
+        mi, count, rotation = self._mi, vertices.size, DeviceRotation(self._mi, self.bandlimit)
+        total: Any = dr.zeros(mi.Float, 3 * count * rotation.columns)
+        for number, part in enumerate(weights):
+            local: Any = dr.matmul(part, mi.TensorXf(padded_rows(self._tables[number], rotation.columns)))
+            angles = angles_of(self._set_axes[number][vertices], self._turns[number, vertices])
+            total += rotation.into_world(local.array, np.tile(angles, 3))
+        rows = np.array(total).reshape(3, count, rotation.columns)[:, :, : self._tables[0].shape[1]]
+        return np.moveaxis(rows, 0, 1)
+
     def _frames(self, vertices: NDArray, number: int) -> NDArray[np.float64]:
         """Rotations that take z to the axis of a direction set, after a turn about it."""
         return turned_frames(self._set_axes[number][vertices], self._turns[number, vertices])
 
-    def _weights(self, vertices: NDArray, number: int) -> NDArray[np.float32]:
-        """(n, 3, half) of one of the sets: V f (n·ω)₊ over the density of both sets together."""
+    def _weights(self, vertices: NDArray, number: int) -> Any:
+        """(n, 3, half) of one of the sets: V f (n·ω)₊ over the density of both sets together.
+
+        On a device a tensor (3 n, half), channel after channel.
+        """
         import drjit as dr
 
         mi, half = self._mi, self._half
@@ -161,6 +197,11 @@ class ViewTransfer(Estimator[_ViewSamples]):
         reflected = self._bsdfs.evaluate(vertices, place, outward, alive)
         # Each set holds half of the samples, and its table divides by their number already.
         weight = dr.select(alive, reflected * (0.5 / density), 0.0)
+        if self._on_device:
+            rows, lanes = dr.zeros(mi.Float, 3 * dr.width(lane)), dr.width(lane)
+            for c, value in enumerate(weight):
+                dr.scatter(rows, value, lane + c * lanes, mode=dr.ReduceMode.NoConflicts)
+            return mi.TensorXf(rows, (3 * vertices.size, half))
         return np.ascontiguousarray(np.array(weight).reshape(3, vertices.size, half).transpose(1, 0, 2))
 
     def _gathered(self, values: NDArray, vertices: NDArray, place: Any) -> Any:

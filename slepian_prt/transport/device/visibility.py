@@ -65,7 +65,7 @@ class DeviceTracer(HemisphereRays):
             place, edge = divided(mi, changed, edges)
             begin = dr.gather(mi.UInt32, ends[0], edge)
             as_at_begin = dr.gather(mi.Bool, blocked, place * dr.opaque(mi.UInt32, size) + begin)
-            found = bisected(mi, self.geometry, rays, place, dr.fma(edge, 3, mi.UInt32(size)), as_at_begin)
+            found = bisected(mi, self.geometry, rays, place, dr.fma(edge, 3, dr.opaque(mi.UInt32, size)), as_at_begin)
             dr.scatter(quarter, found, changed, mode=dr.ReduceMode.NoConflicts)
             self.changes += dr.width(changed)
         dr.eval(quarter)
@@ -77,7 +77,7 @@ class DeviceTracer(HemisphereRays):
 
         mi, size = self.mi, self.directions.size
         closed = dr.block_sum(dr.select(blocked, mi.UInt32(1), 0), size)
-        few_open = dr.compress(may_leak(closed, size))
+        few_open = dr.compress(may_leak(closed, dr.opaque(mi.UInt32, size)))
         if dr.width(few_open) == 0:
             return blocked
         which, node = pairs(mi, dr.width(few_open), size)
