@@ -74,6 +74,7 @@ def precompute_scans(
                 _tell(result)
             advance(1, count)
 
+        advance(0, count)
         try:
             results = run_set(wanted, folder, settings, tell)
         except KeyboardInterrupt:
