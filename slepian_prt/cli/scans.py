@@ -82,6 +82,7 @@ def precompute_scans(
                 _tell(result)
             advance(1, count)
 
+        advance(0, count)
         try:
             results = run_set(wanted, folder, settings, tell, map if crew is None else mapped_by(crew))
         except KeyboardInterrupt:

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from slepian_prt.cli import main
+from slepian_prt.cli.precompute import precompute
 from slepian_prt.compression.files.prt_file import load
+from slepian_prt.datasets.jobs import FORMATS
 from slepian_prt.datasets.records import NAME
 from tests.datasets.scans import bent_ball, write_ball, write_obj
 
@@ -121,3 +123,8 @@ def test_an_interrupt_says_how_to_go_on(folder, capsys, monkeypatch):
     assert run(folder / "a.obj", folder / "b.obj", "-o", folder / "out") == 130
     told = capsys.readouterr().err
     assert told == f"slepian-prt: interrupted; the same command goes on from what is in {folder / 'out'}\n"
+
+
+def test_all_formats_can_be_asked_for():
+    (option,) = (option for option in precompute.params if option.name == "formats")
+    assert tuple(option.type.choices) == FORMATS

@@ -62,7 +62,7 @@ def test_other_files_do_not_count(model):
 def test_every_setting_counts():
     """Arrays in them by what they hold; the same settings have the same digest."""
     usual = ScanSettings()
-    prior = [LightPrior("map", np.linspace(1.0, end, 2000)) for end in (0.0, 1e-9)]
+    prior = [LightPrior("map", np.append(np.linspace(1.0, 0.5, 2000), end)) for end in (0.4, 0.4 + 1e-15)]
     changed = [
         usual,
         replace(usual, formats=("pifu",)),
