@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 
 import slepian_prt as sp
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.renderer.variants import imported_mitsuba, prepare_llvm
 from slepian_prt.sphere.harmonics import degrees
 from slepian_prt.transport.settings import TransportSettings
@@ -53,7 +53,7 @@ def main(mesh: Path, environment: Path) -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         transfer = Path(folder) / "transfer.prt"
-        precompute_compressed(str(mesh), CompressionSettings(), TransportSettings(BANDLIMIT, 1024)).save(transfer)
+        compress_scene(str(mesh), CompressionSettings(), TransportSettings(BANDLIMIT, 1024)).save(transfer)
         target = draw_target(mi, mesh, environment)
         scene = mi.load_dict({
             "type": "scene", **model(mi, mesh),

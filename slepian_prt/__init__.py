@@ -8,6 +8,7 @@
 
 Transfer and relighting
     precompute                      Trace what light reaches each vertex of a mesh or scene: its transfer vectors.
+    precompute_compressed           The same, compressed as it is traced; here or by Dask's workers.
     precompute_set, ScanResult      The same of many files into one folder, compressed; also as PIFu and ICON read it.
     capture                         Trace what light reaches each pixel of a camera: one render, relit under any light.
     Transfer                        Transfer vectors and the mesh that they belong to; save.

@@ -2,6 +2,7 @@
 from .compression.compressed import CompressedTransfer as CompressedTransfer
 from .compression.files.prt_file import load as load
 from .compression.film_compression import compress_film as compress_film
+from .compression.from_scene import precompute_compressed as precompute_compressed
 from .compression.stream import compress as compress
 from .datasets.jobs import ScanResult as ScanResult
 from .datasets.precompute_set import precompute_set as precompute_set

@@ -13,7 +13,7 @@ from benchmarks.common import DRAGONS, PEAK_MEMORY, data_folder, in_child, line
 
 import slepian_prt as sp
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.relighting.mitsuba.device_operator import DeviceOperator
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.renderer.variants import cuda_failure, mitsuba, usable_variant
@@ -106,12 +106,12 @@ def _whole(name: str, bandlimit: int) -> None:
     code = f"""
 import pathlib, tempfile, time
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.transport.settings import TransportSettings
 folder = pathlib.Path({str(DRAGONS)!r})
 def run(name):
     begin = time.perf_counter()
-    made = precompute_compressed(str(folder / f"{{name}}.ply"), {settings}, TransportSettings({bandlimit}, {SAMPLES}))
+    made = compress_scene(str(folder / f"{{name}}.ply"), {settings}, TransportSettings({bandlimit}, {SAMPLES}))
     made.save(pathlib.Path(tempfile.mkdtemp()) / "out.prt")
     return made, time.perf_counter() - begin
 run({LADDER[0]!r})
@@ -128,7 +128,7 @@ def _frames(dragon: str) -> None:
     import drjit as dr
 
     path = str(DRAGONS / f"{dragon}.ply")
-    packed = precompute_compressed(path, CompressionSettings(tolerance=0.05), TransportSettings(10, SAMPLES))
+    packed = compress_scene(path, CompressionSettings(tolerance=0.05), TransportSettings(10, SAMPLES))
     environment = data_folder() / "environments" / "studio.exr"
     light = environment if environment.is_file() else np.random.default_rng(0).random((64, 128, 3))
     lights = [sp.project_environment(light, 10, rotate=360.0 * frame / FRAMES) for frame in range(FRAMES)]

@@ -11,7 +11,7 @@ from benchmarks.common import DRAGONS, ROOT, data_folder, line, median_seconds
 
 import slepian_prt as sp
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.viewer.page_file import write_page
 from slepian_prt.viewer.pages import PageWish, page_content
@@ -50,7 +50,7 @@ def page_files() -> None:
 
 
 def _page(name: str, mesh: str | Path, bandlimit: int, limit: str, modules: Modules, folder: Path) -> None:
-    packed = precompute_compressed(str(mesh), CompressionSettings(), TransportSettings(bandlimit, _SAMPLES))
+    packed = compress_scene(str(mesh), CompressionSettings(), TransportSettings(bandlimit, _SAMPLES))
     packed.save(folder / "file.prt")
     wish = PageWish((data_folder() / "environments" / "studio.exr",))
     begun = time.perf_counter()

@@ -11,7 +11,7 @@ from benchmarks.common import DRAGONS, data_folder, line, median_seconds
 
 import slepian_prt as sp
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.lighting.environment import read_environment
 from slepian_prt.lighting.texel_projection import clenshaw_curtis
 from slepian_prt.relighting.factors import all_factors
@@ -29,7 +29,7 @@ def relighting() -> None:
     _project(studio)
     for bandlimit in (10, 20):
         for settings, name in ((CompressionSettings(terms=16), "K = 16"), (CompressionSettings(), "default")):
-            packed = precompute_compressed(str(skull), settings, TransportSettings(bandlimit, 1024))
+            packed = compress_scene(str(skull), settings, TransportSettings(bandlimit, 1024))
             _relight(f"skull, L = {bandlimit}, {name}", packed, studio)
     _integrator(str(skull), studio)
     dragon = DRAGONS / "dragon_vrip.ply"
@@ -40,7 +40,7 @@ def relighting() -> None:
         (CompressionSettings(terms=16), "K = 16"),
         (CompressionSettings(tolerance=0.05), "tolerance 0.05"),
     ):
-        packed = precompute_compressed(str(dragon), settings, TransportSettings(20, 1024))
+        packed = compress_scene(str(dragon), settings, TransportSettings(20, 1024))
         _relight(f"dragon of {len(packed.mesh.positions):,} vertices, L = 20, {name}", packed, studio)
 
 
@@ -119,7 +119,7 @@ def _integrator(mesh: str, environment: Path) -> None:
     mi.set_variant("llvm_ad_rgb")
     sp.register()
     with tempfile.TemporaryDirectory() as folder:
-        precompute_compressed(mesh, CompressionSettings(), TransportSettings(10, 1024)).save(Path(folder) / "file.prt")
+        compress_scene(mesh, CompressionSettings(), TransportSettings(10, 1024)).save(Path(folder) / "file.prt")
         scene = mi.load_dict({
             "type": "scene", "emitter": {"type": "envmap", "filename": str(environment)},
             "skull": {"type": "ply", "filename": mesh},

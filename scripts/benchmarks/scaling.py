@@ -26,7 +26,7 @@ from slepian_prt.compression.learning import LearnedBases, learn_bases, pilot_of
 from slepian_prt.compression.projection import choose_projection
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stored_mesh.stored import store_mesh
-from slepian_prt.compression.stream import encode_planned, precompute_compressed
+from slepian_prt.compression.stream import compress_scene, encode_planned
 from slepian_prt.compression.tracing import cut_receivers, trace_and_project
 from slepian_prt.compression.tracing_by_workers import TracingJob
 from slepian_prt.transport.estimator import Estimator
@@ -67,7 +67,7 @@ def _strong(path: Path) -> None:
                 with open_crew(workers) as crew:
                     crew.client.run(_one_thread)
                     settings = CompressionSettings(), TransportSettings(10, SAMPLES)
-                    packed = precompute_compressed(path, *settings, crew=crew)
+                    packed = compress_scene(path, *settings, crew=crew)
                 packed.save(Path(folder) / "out.prt")
                 taken.append(time.perf_counter() - begin)
     alone, both = (statistics.median(taken) for taken in seconds.values())
@@ -82,7 +82,7 @@ def _strong(path: Path) -> None:
 _CLIENT = """
 import json, os, sys
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.distributed.crew import open_crew
 from slepian_prt.transport.settings import TransportSettings
 
@@ -96,7 +96,7 @@ def counted():
 held = []
 with open_crew(scheduler={address!r}) as crew:
     before = sum(crew.client.run_on_scheduler(counted).values())
-    packed = precompute_compressed(
+    packed = compress_scene(
         {path!r}, CompressionSettings(), TransportSettings(10, {samples}), crew=crew,
         on_plan=lambda _: held.append(memory("VmRSS")),
     )
@@ -280,4 +280,4 @@ def _open(planned: PlannedScene, source: Estimator[Any], learned: LearnedBases, 
 
 def _warm_up() -> None:
     """What is paid for once, whatever the scene: imports, kernels, tables."""
-    precompute_compressed(sp.example("knot"), CompressionSettings(), TransportSettings(4, 64))
+    compress_scene(sp.example("knot"), CompressionSettings(), TransportSettings(4, 64))

@@ -211,12 +211,12 @@ def dragons() -> None:
         for name in ("dragon_vrip_res4", "dragon_vrip_res3", "dragon_vrip_res2", "dragon_vrip"):
             path = DRAGONS / f"{name}.ply"
             code = (
-                "import tempfile, pathlib, time; from slepian_prt.compression.stream import precompute_compressed;"
+                "import tempfile, pathlib, time; from slepian_prt.compression.stream import compress_scene;"
                 "from slepian_prt.compression.settings import CompressionSettings;"
                 "from slepian_prt.transport.settings import TransportSettings;"
                 "begin = time.perf_counter();"
                 f"transport = TransportSettings({bandlimit}); settings = CompressionSettings(tolerance=0.05);"
-                f"p = precompute_compressed({str(path)!r}, settings, transport);"
+                f"p = compress_scene({str(path)!r}, settings, transport);"
                 "p.save(pathlib.Path(tempfile.mkdtemp()) / 'out.prt'); total = time.perf_counter() - begin;"
                 "rate = p.rays_traced / p.seconds['transport'] / 1e6;"
                 "print(len(p.mesh.positions), 'vertices,',"

@@ -87,14 +87,14 @@ def precompute_within(
     started : when time begins to count, by `time.perf_counter`; by default now
     on_plan : as of `precompute`
     on_choice : given what could be chosen, the choice, and the seconds that everything else takes
-    advance, report : as of `precompute_compressed`
+    advance, report : as of `compress_scene`
     tuning : SearchTuning
-    crew : as of `precompute_compressed`
+    crew : as of `compress_scene`
 
     Raises
     ------
     UserError
-        The goal cannot be met, or what `precompute_compressed` raises.
+        The goal cannot be met, or what `compress_scene` raises.
     """
     goal.check()
     _check(settings)

@@ -132,10 +132,10 @@ def _precompute(
     """As asked for."""
     from slepian_prt.cli.terminal import describe, print_plan, progress
     from slepian_prt.compression.noise import finest_tolerance
-    from slepian_prt.compression.stream import precompute_compressed
+    from slepian_prt.compression.stream import compress_scene
 
     with progress("transport", "vertices") as (advance, report):
-        packed = precompute_compressed(
+        packed = compress_scene(
             scene, settings, transport, on_plan=print_plan, advance=advance, report=report, crew=crew
         )
     if transport.bounces is not None and packed.bounces < transport.bounces:

@@ -215,7 +215,7 @@ def encode_transfer(
     )
 
 
-def precompute_compressed(
+def compress_scene(
     scene: SceneSource,
     settings: CompressionSettings,
     transport: TransportSettings,

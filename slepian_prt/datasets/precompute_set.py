@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.from_scene import settings_of_both
 from slepian_prt.datasets.by_workers import mapped_by
 from slepian_prt.datasets.fingerprint import settings_digest
 from slepian_prt.datasets.jobs import FORMATS, ScanJob, ScanResult, ScanSettings
@@ -15,10 +14,9 @@ from slepian_prt.datasets.naming import name_scans
 from slepian_prt.datasets.records import open_records
 from slepian_prt.datasets.scan import precompute_scan
 from slepian_prt.datasets.training_files import pifu_folder
-from slepian_prt.distributed.crew import crew_or_none
+from slepian_prt.distributed.given import given_crew
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_folder
-from slepian_prt.transport.settings import TransportSettings
 
 Mapped = Callable[[Callable[[ScanJob], ScanResult], Sequence[ScanJob]], Iterable[ScanResult]]
 
@@ -66,18 +64,14 @@ def precompute_set(
         No scene, an unknown format or setting, two scenes whose outputs would have the same name, or a folder that
         cannot be written to or has outputs of that name that are of another scene.
     """
-    kinds = (TransportSettings, CompressionSettings)
-    transport, compression = ({field.name for field in fields(kind)} for kind in kinds)
-    unknown = sorted(set(settings) - transport - compression)
-    if unknown:
-        raise UserError(f"{unknown[0]!r} is no setting of precompute or compress")
+    transport, compression = settings_of_both(settings)
     asked = ScanSettings(
         formats=(formats,) if isinstance(formats, str) else tuple(formats),
-        transport=TransportSettings(**{name: value for name, value in settings.items() if name in transport}),
-        compression=CompressionSettings(**{name: value for name, value in settings.items() if name in compression}),
+        transport=transport,
+        compression=compression,
         samples=settings.get("samples"),
     )
-    with crew_or_none(client) as crew:
+    with given_crew(client) as crew:
         return run_set(list(scenes), folder, asked, on_result, map if crew is None else mapped_by(crew))
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from slepian_prt.accuracy.goal import Light
 from slepian_prt.accuracy.run import precompute_within
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.datasets.fingerprint import digest_of, fingerprint
 from slepian_prt.datasets.jobs import ScanJob, ScanResult
 from slepian_prt.datasets.obj_rows import read_rows
@@ -94,7 +94,7 @@ def _write_prt(job: ScanJob, known: ScanResult) -> ScanResult:
 def _compressed(job: ScanJob) -> CompressedTransfer:
     settings = job.settings
     if settings.goal is None:
-        return precompute_compressed(job.source, settings.compression, settings.transport)
+        return compress_scene(job.source, settings.compression, settings.transport)
     light = settings.light or Light()
     return precompute_within(job.source, settings.goal, light, settings.compression, settings.transport).packed
 

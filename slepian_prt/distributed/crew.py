@@ -94,16 +94,6 @@ def open_crew(
         crew.disband()
 
 
-@contextmanager
-def crew_or_none(client: Any) -> Iterator[Crew | None]:
-    """The crew of what users give as ``client``, see `open_crew`; a crew as it is, and None for nothing."""
-    if client is None or isinstance(client, Crew):
-        yield client
-        return
-    with open_crew(client=client) as crew:
-        yield crew
-
-
 class Crew:
     """Workers that were found to have what is needed; `open_crew` makes it.
 

@@ -119,7 +119,7 @@ def test_an_interrupt_says_how_to_go_on(folder, capsys, monkeypatch):
     def interrupt(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("slepian_prt.datasets.scan.precompute_compressed", interrupt)
+    monkeypatch.setattr("slepian_prt.datasets.scan.compress_scene", interrupt)
     assert run(folder / "a.obj", folder / "b.obj", "-o", folder / "out") == 130
     told = capsys.readouterr().err
     assert told == f"slepian-prt: interrupted; the same command goes on from what is in {folder / 'out'}\n"

@@ -12,7 +12,7 @@ import trimesh
 from slepian_prt.compression import checkpoint as stores
 from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import compress, precompute_compressed
+from slepian_prt.compression.stream import compress, compress_scene
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.transport.direct import DirectTransfer
@@ -189,7 +189,7 @@ def content(packed, tmp_path) -> dict[str, bytes]:
 def test_streamed_is_as_good_as_in_memory(settings, tmp_path):
     mesh = bumpy(4)
     transfer = precompute(mesh, 6, 256)
-    streamed = precompute_compressed(mesh, settings, JOB)
+    streamed = compress_scene(mesh, settings, JOB)
     options = dict(vars(settings))
     whole = compress(transfer, **options)
     reference = transfer.vectors[:, 0]
@@ -217,7 +217,7 @@ def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, m
         return blocks_of(source, pieces, *rest)
 
     monkeypatch.setattr(DirectTransfer, "blocks", counted)
-    uninterrupted = precompute_compressed(mesh, settings, JOB)
+    uninterrupted = compress_scene(mesh, settings, JOB)
     whole = content(uninterrupted, tmp_path)
     pilot, blocks = traced
     assert blocks > 6
@@ -232,11 +232,11 @@ def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, m
     with monkeypatch.context() as patched:
         patched.setattr(stores.Journal, "add", add_some)
         with pytest.raises(Killed):
-            precompute_compressed(mesh, settings, JOB)
+            compress_scene(mesh, settings, JOB)
     assert len(list(cache.iterdir())) == 1
     traced.clear()
     with caplog.at_level("INFO"):
-        resumed = precompute_compressed(mesh, settings, JOB)
+        resumed = compress_scene(mesh, settings, JOB)
     assert content(resumed, tmp_path) == whole  # the same calls on the same machine
     assert ("were finished before and are kept" in caplog.text) == (after > 0)
     assert traced == [pilot, blocks - after]
@@ -256,7 +256,7 @@ def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):
     ]
     for number, (how, transport) in enumerate(others):
         with pytest.raises(Killed):
-            precompute_compressed(bumpy(3), how, transport)
+            compress_scene(bumpy(3), how, transport)
         assert len(list(cache.iterdir())) == number + 1
 
 
@@ -266,7 +266,7 @@ def test_hard_edges_do_not_take_the_blocks_of_smooth_ones(monkeypatch, cache, tm
     trimesh.Trimesh(mesh.positions, mesh.faces, process=False).export(path)
     for angle, journals in ((None, 1), (180.0, 1), (25.0, 2), (24.0, 3), (25.0, 3)):
         with pytest.raises(Killed):
-            precompute_compressed(path, CompressionSettings(clusters=6), replace(JOB, crease_angle=angle))
+            compress_scene(path, CompressionSettings(clusters=6), replace(JOB, crease_angle=angle))
         assert len(list(cache.iterdir())) == journals
 
 
@@ -277,7 +277,7 @@ def test_a_pilot_that_saw_too_little_is_made_up_for(monkeypatch):
     mesh = bumpy(4)
     reference = precompute(mesh, 6, 256).vectors[:, 0]
     for packed in (
-        precompute_compressed(mesh, CompressionSettings(tolerance=0.03, clusters=12), JOB),
+        compress_scene(mesh, CompressionSettings(tolerance=0.03, clusters=12), JOB),
         compress(precompute(mesh, 6, 256), tolerance=0.03, clusters=12),
     ):
         assert np.linalg.norm(packed.reconstruct() - reference) <= 0.0301 * np.linalg.norm(reference)
@@ -290,7 +290,7 @@ def test_vertices_inside_other_geometry_borrow(tmp_path):
     path = tmp_path / "scene.ply"
     trimesh.util.concatenate([floor, box]).export(path)
     reference = precompute(path, 4, 256).vectors[:, 0]
-    packed = precompute_compressed(path, CompressionSettings(tolerance=1e-3, clusters=12), TransportSettings(4, 256))
+    packed = compress_scene(path, CompressionSettings(tolerance=1e-3, clusters=12), TransportSettings(4, 256))
     assert np.linalg.norm(packed.reconstruct() - reference) <= 1.01e-3 * np.linalg.norm(reference)
 
 
@@ -335,7 +335,7 @@ def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
             mesh = bumpy(subdivisions)
             tracemalloc.reset_peak()
             held = tracemalloc.get_traced_memory()[0]
-            precompute_compressed(mesh, CompressionSettings(tolerance=0.1, clusters=24), TransportSettings(20, 64))
+            compress_scene(mesh, CompressionSettings(tolerance=0.1, clusters=24), TransportSettings(20, 64))
             peaks.append(tracemalloc.get_traced_memory()[1] - held)
             counts.append(len(mesh.positions))
     finally:
@@ -345,7 +345,7 @@ def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
 
 
 def test_convex_streams_without_a_ray():
-    packed = precompute_compressed(sphere(4), CompressionSettings(tolerance=0.05, clusters=12), JOB)
+    packed = compress_scene(sphere(4), CompressionSettings(tolerance=0.05, clusters=12), JOB)
     assert packed.rays_traced == 0
 
 
@@ -356,7 +356,7 @@ def test_relighting_is_reconstruction_times_light_however_grouped(group_by, clas
     if group_by == "surface" and classes > 1:
         pytest.skip("patches have no classes")
     settings = CompressionSettings(tolerance=0.05, clusters=8, group_by=group_by, occlusion_classes=classes)
-    packed = precompute_compressed(bumpy(4), settings, JOB)
+    packed = compress_scene(bumpy(4), settings, JOB)
     lights = rng.normal(size=(20, 3, 49))
     expected = np.einsum("vm,bcm->bvc", packed.reconstruct(), lights)
     difference = transfer_operator(packed).apply(lights) - expected
@@ -376,5 +376,5 @@ def test_blocks_of_another_size_or_mode_are_not_taken(monkeypatch, cache):
             if patch:
                 patched.setattr(*patch)
             with pytest.raises(Killed):
-                precompute_compressed(bumpy(3), CompressionSettings(tolerance=0.05, clusters=6), JOB)
+                compress_scene(bumpy(3), CompressionSettings(tolerance=0.05, clusters=6), JOB)
         assert len(list(cache.iterdir())) == number + 1

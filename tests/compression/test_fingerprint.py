@@ -7,7 +7,7 @@ import pytest
 
 from slepian_prt.compression.fingerprint import fingerprint, shape_arrays
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.transport.planned import plan_scene
 from slepian_prt.transport.settings import TransportSettings
@@ -77,7 +77,7 @@ def test_a_curve_shades_what_is_lit(tmp_path, hair):
         <string name="filename" value="{hair()}"/><bsdf type="conductor"/></shape></scene>"""
     )
     settings = CompressionSettings(tolerance=0.05, clusters=1)
-    packed = precompute_compressed(tmp_path / "scene.xml", settings, TransportSettings(3, 64))
+    packed = compress_scene(tmp_path / "scene.xml", settings, TransportSettings(3, 64))
     assert packed.effects[0].name == "shadows"
     assert packed.effects[0].contribution > 0.0
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import slepian_prt as sp
 from slepian_prt.compression.bases import ANALYTIC, BASES, Frame, Problem, candidates, shared_half_angle
 from slepian_prt.compression.clustering import cluster_axes, spread
 from slepian_prt.compression.decoder import coded_along_principal_axes
@@ -14,15 +15,17 @@ from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.pilot import learn, pilot_vertices
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import compress
+from slepian_prt.compression.stream import compress, compress_scene
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
 from slepian_prt.compression.truncation import by_tolerance, predicted_error, tails
+from slepian_prt.errors import UserError
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.slepian.shannon import concentration_count, generalized_shannon_number, refined_shannon_number
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, inside_out, sphere
-from tests.numerics import assert_rounded
+from tests.numerics import assert_exact, assert_rounded
 
 # `slepian` lacks the odd degrees; of K terms `pca` spends one on the mean.
 COMPLETE = [name for name in ANALYTIC if name != "slepian"]
@@ -300,3 +303,15 @@ def test_starting_from_what_much_the_same_was_coded_with(shadowed):
     assert error(warm, fewer) <= 0.05 * (1.0 + 1e-6)
     assert warm.bytes_per_vertex <= 1.05 * cold.bytes_per_vertex
     assert coded_along_principal_axes(warm) == coded_along_principal_axes(before)
+
+
+def test_one_call_is_what_the_command_does(tmp_path):
+    """Settings by name, and what neither transport nor compression has is refused."""
+    mesh = bumpy(2)
+    packed = sp.precompute_compressed(mesh, bandlimit=4, samples=64, tolerance=0.1, clusters=5)
+    same = compress_scene(mesh, CompressionSettings(tolerance=0.1, clusters=5), TransportSettings(4, 64))
+    assert_exact(packed.reconstruct(), same.reconstruct(), because="the same calls on the same machine")
+    with pytest.raises(UserError, match="'toleranz' is no setting of precompute or compress"):
+        sp.precompute_compressed(mesh, toleranz=0.1)
+    with pytest.raises(UserError, match="`client` must be a Dask client, a cluster or the address of a scheduler"):
+        sp.precompute_compressed(mesh, client=3)

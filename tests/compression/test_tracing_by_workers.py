@@ -11,7 +11,7 @@ import pytest
 from slepian_prt.compression import tracing_by_workers as remote
 from slepian_prt.compression.checkpoint import Journal
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.errors import UserError
 from slepian_prt.transport.settings import TransportSettings
 from tests.conftest import bumpy
@@ -110,9 +110,9 @@ CODED = CompressionSettings(tolerance=0.05, clusters=12)
 )
 def test_workers_give_the_same_bytes(settings, tmp_path):
     mesh = bumpy(4)
-    alone = precompute_compressed(mesh, settings, JOB)
+    alone = compress_scene(mesh, settings, JOB)
     crew = Crew()
-    together = precompute_compressed(mesh, settings, JOB, crew=crew)
+    together = compress_scene(mesh, settings, JOB, crew=crew)
     assert crew.calls.count("_trace_block") > 4
     assert content(together, tmp_path) == content(alone, tmp_path)  # the same calls on the same machine
     assert together.rays_traced == alone.rays_traced
@@ -124,9 +124,9 @@ def test_workers_give_the_same_bytes(settings, tmp_path):
 def test_what_is_lost_is_made_again_and_comes_out_the_same(lost, tmp_path):
     mesh = bumpy(4)
     crew = Crew(lost)
-    found = precompute_compressed(mesh, CODED, JOB, crew=crew)
+    found = compress_scene(mesh, CODED, JOB, crew=crew)
     usual = Crew()
-    assert content(found, tmp_path) == content(precompute_compressed(mesh, CODED, JOB, crew=usual), tmp_path)
+    assert content(found, tmp_path) == content(compress_scene(mesh, CODED, JOB, crew=usual), tmp_path)
     assert crew.calls.count(lost) > usual.calls.count(lost)
 
 
@@ -137,7 +137,7 @@ def test_a_block_that_was_finished_is_not_traced_again(monkeypatch):
         Journal, "add", lambda journal, number, block: (added.append(number), add(journal, number, block))
     )
     crew = Crew("_trace_block")
-    precompute_compressed(bumpy(4), CODED, JOB, crew=crew)
+    compress_scene(bumpy(4), CODED, JOB, crew=crew)
     assert crew.calls.count("_trace_block") > len(added)
     assert sorted(added) == list(range(len(added)))
 
@@ -145,7 +145,7 @@ def test_a_block_that_was_finished_is_not_traced_again(monkeypatch):
 def test_coefficients_stay_with_the_workers():
     """What comes back is the file and little else."""
     settings = CompressionSettings(tolerance=0.005, clusters=6)
-    packed = precompute_compressed(bumpy(5), settings, JOB, crew=(crew := Crew()))
+    packed = compress_scene(bumpy(5), settings, JOB, crew=(crew := Crew()))
     in_the_file = packed.bytes_per_vertex * packed.vertex_count
     coefficients = 4 * packed.bases[0].count * packed.vertex_count
     assert crew.fetched < 2.0 * in_the_file
@@ -158,7 +158,7 @@ def test_another_disk_than_the_clients(monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     crew = Crew()
-    precompute_compressed(bumpy(4), CODED, JOB, crew=crew)
+    compress_scene(bumpy(4), CODED, JOB, crew=crew)
     assert not list(tmp_path.glob("slepian_prt-*"))
 
 
@@ -166,8 +166,8 @@ def test_a_pilot_that_saw_too_little_is_made_up_for(monkeypatch, tmp_path):
     monkeypatch.setattr("slepian_prt.compression.pilot.PILOT_SIZE", 1)
     settings = CompressionSettings(tolerance=0.03, clusters=12)
     crew = Crew()
-    found = content(precompute_compressed(bumpy(4), settings, JOB, crew=crew), tmp_path)
-    assert found == content(precompute_compressed(bumpy(4), settings, JOB), tmp_path)
+    found = content(compress_scene(bumpy(4), settings, JOB, crew=crew), tmp_path)
+    assert found == content(compress_scene(bumpy(4), settings, JOB), tmp_path)
 
 
 def test_objects_of_mitsuba_are_refused():
@@ -175,4 +175,4 @@ def test_objects_of_mitsuba_are_refused():
     mi.set_variant("llvm_ad_rgb")
     scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}, "floor": {"type": "rectangle"}})
     with pytest.raises(UserError, match="objects of Mitsuba cannot be sent to workers"):
-        precompute_compressed(scene, CODED, replace(JOB, effects="direct"), crew=Crew())
+        compress_scene(scene, CODED, replace(JOB, effects="direct"), crew=Crew())

@@ -119,7 +119,7 @@ def test_a_fault_of_ours_is_one_line(scans, tmp_path, monkeypatch):
     def fail(*_, **__):
         raise ZeroDivisionError("by\nzero")
 
-    monkeypatch.setattr("slepian_prt.datasets.scan.precompute_compressed", fail)
+    monkeypatch.setattr("slepian_prt.datasets.scan.compress_scene", fail)
     (result,) = sp.precompute_set(scans[:1], tmp_path / "out", **SMALL)
     assert result.failure == "internal error, ZeroDivisionError: by zero (please report it)"
 

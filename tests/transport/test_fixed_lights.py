@@ -10,7 +10,7 @@ import trimesh
 
 import slepian_prt as sp
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.errors import UserError
 from slepian_prt.renderer.variants import bitmap_module
 from slepian_prt.scene.loading import open_scene
@@ -136,7 +136,7 @@ def test_blocks_give_the_same_light(tmp_path):
     """Compressed as it is traced, or from all vectors."""
     path = written(tmp_path, BOX + LAMP + SUN)
     whole = sp.precompute(path, 2, 64, effects="direct")
-    packed = precompute_compressed(path, CompressionSettings(), TransportSettings(2, 64, "direct"))
+    packed = compress_scene(path, CompressionSettings(), TransportSettings(2, 64, "direct"))
     assert whole.fixed is not None
     assert packed.fixed is not None
     assert_exact(packed.fixed.direct, whole.fixed.direct, "the same rays")
