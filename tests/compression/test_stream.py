@@ -13,7 +13,7 @@ from slepian_prt.compression.decoder import coded_along_principal_axes
 from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.grouping import group_transfer
-from slepian_prt.compression.pilot import learn, pilot_vertices
+from slepian_prt.compression.pilot import PILOT_SIZE, learn, pilot_vertices
 from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, compress_scene
 from slepian_prt.compression.tolerance_sweep import ToleranceSweep
@@ -149,8 +149,14 @@ def test_tolerance_is_kept(basis, tolerance, coding, shadowed):
     packed = compress(shadowed, basis, tolerance=tolerance, clusters=16, coding=coding)
     full = basis == "slepian"  # not complete: may run out of functions
     assert packed.predicted_error <= tolerance * (1 + 1e-9) or full
-    if not full:
-        assert error(packed, shadowed) <= 1.1 * tolerance
+    if full:
+        return
+    vectors = shadowed.vectors[:, 0].astype(np.float64)
+    missed, energy = ((each**2).sum(axis=1) for each in (packed.reconstruct() - vectors, vectors))
+    found = missed.sum() / energy.sum()
+    # Without coding nothing is measured on all vertices: the pilot foretells it, which is a sample of them.
+    deviation = np.std(missed - found * energy) / math.sqrt(PILOT_SIZE) / energy.mean()
+    assert found <= tolerance**2 + (3.0 * deviation if coding == "float32" else 0.2 * tolerance**2)
 
 
 def test_tolerance_takes_the_fewest(shadowed):
