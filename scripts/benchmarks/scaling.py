@@ -101,9 +101,11 @@ with open_crew(scheduler={address!r}) as crew:
         on_plan=lambda _: held.append(memory("VmRSS")),
     )
     moved = sum(crew.client.run_on_scheduler(counted).values()) - before
+    workers = max(crew.client.run(memory, "VmHWM").values())
 packed.save({output!r})
 print(json.dumps(dict(
-    vertices=packed.vertex_count, moved=moved, file=os.path.getsize({output!r}), beyond=memory("VmHWM") - held[0]
+    vertices=packed.vertex_count, moved=moved, file=os.path.getsize({output!r}), beyond=memory("VmHWM") - held[0],
+    client=memory("VmHWM"), workers=workers,
 )))
 """
 
@@ -141,6 +143,8 @@ def _moved(path: Path) -> None:
     through = f"{found['moved'] / count:.1f}; {found['file'] / count:.1f}"
     line(f"{path.stem}, L = 10: bytes per vertex through the scheduler; of the file", through)
     line(f"{path.stem}, L = 10: memory of the client beyond the scene", f"{found['beyond']:.0f} MB")
+    whole = f"{found['client']:.0f} MB; {found['workers']:.0f} MB"
+    line(f"{path.stem}, L = 10: memory in all, of the client; of a worker, at most", whole)
 
 
 def _free_port() -> int:
