@@ -101,10 +101,10 @@ def run_set(
         for result in mapped(precompute_scan, jobs):
             if not result.kept:
                 records.add(result)
-            done[result.source] = result
+            done[result.name] = result
             on_result(result)
         records.tidy(names.values())
-    return [done[path] for path in names]
+    return [done[name] for name in names.values()]
 
 
 def _check(scenes: Sequence[str | Path], settings: ScanSettings) -> None:
