@@ -12,7 +12,7 @@ from slepian_prt.datasets.fingerprint import settings_digest
 from slepian_prt.datasets.jobs import FORMATS, ScanJob, ScanResult, ScanSettings
 from slepian_prt.datasets.naming import name_scans
 from slepian_prt.datasets.records import open_records
-from slepian_prt.datasets.scan import precompute_scan
+from slepian_prt.datasets.scan import mark_of, precompute_scan
 from slepian_prt.datasets.training_files import pifu_folder
 from slepian_prt.distributed.given import given_crew
 from slepian_prt.errors import UserError
@@ -95,14 +95,15 @@ def run_set(
         jobs = [ScanJob(path, name, str(folder), settings, asked, records[name]) for path, name in names.items()]
         for job in jobs:
             _check_owner(job)
+        jobs.sort(key=lambda job: mark_of(job).exists())  # what a process died of would kill this one before the rest
         done: dict[str, ScanResult] = {}
         for result in mapped(precompute_scan, jobs):
             if not result.kept:
                 records.add(result)
-            done[result.source] = result
+            done[result.name] = result
             on_result(result)
         records.tidy(names.values())
-    return [done[path] for path in names]
+    return [done[name] for name in names.values()]
 
 
 def _check(scenes: Sequence[str | Path], settings: ScanSettings) -> None:

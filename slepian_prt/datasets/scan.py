@@ -46,11 +46,12 @@ def precompute_scan(job: ScanJob) -> ScanResult:
             if _is_there(job, known.fingerprint):
                 assert job.before is not None
                 return replace(job.before, source=job.source, kept=True)
-            if _TRAINING.keys() & set(job.settings.formats):  # first, as they refuse more, and sooner
-                known = _write_training(job, known)
-            if "prt" in job.settings.formats:
-                known = _write_prt(job, known)
-            known = _measured(job, known)
+            with _begun(job):
+                if _TRAINING.keys() & set(job.settings.formats):  # first, as they refuse more, and sooner
+                    known = _write_training(job, known)
+                if "prt" in job.settings.formats:
+                    known = _write_prt(job, known)
+                known = _measured(job, known)
         except UserError as error:
             known = replace(known, failure=str(error))
         except Exception as error:  # a fault of ours must not cost the scans that come after it
@@ -61,6 +62,21 @@ def precompute_scan(job: ScanJob) -> ScanResult:
     seconds = {**known.seconds, "all": time.perf_counter() - started}
     rounded = {stage: round(taken, 4) for stage, taken in seconds.items()}
     return replace(known, seconds=rounded, notes=tuple(dict.fromkeys((*notes, *known.notes))))
+
+
+def mark_of(job: ScanJob) -> Path:
+    """A file that is there while a scan is done, and stays where the process died of it."""
+    return Path(job.folder) / f".{job.name}.begun"
+
+
+@contextmanager
+def _begun(job: ScanJob) -> Iterator[None]:
+    mark = mark_of(job)
+    mark.touch()
+    try:
+        yield
+    finally:
+        mark.unlink(missing_ok=True)
 
 
 def _is_there(job: ScanJob, wanted: str) -> bool:

@@ -152,6 +152,23 @@ def test_a_killed_run_goes_on(tmp_path):
     assert sorted(path.name for path in out.iterdir()) == sorted([NAME, *(f"{scan.stem}.prt" for scan in scans)])
 
 
+@pytest.mark.slow
+def test_what_kills_the_process_comes_last(scans, tmp_path):
+    """It dies at the second of three scans; the third is done when it is started again."""
+    out = tmp_path / "out"
+    code = (
+        "import os, slepian_prt as sp, slepian_prt.datasets.scan as scan\n"
+        "traced = scan.precompute_compressed\n"
+        "scan.precompute_compressed = lambda path, *more: os._exit(9) if 'b.obj' in path else traced(path, *more)\n"
+        f"sp.precompute_set({[str(scan) for scan in scans]!r}, {str(out)!r}, **{SMALL!r})"
+    )
+    for there in (["a"], ["a", "c"]):
+        assert subprocess.run([sys.executable, "-c", code]).returncode == 9
+        assert sorted(line["name"] for line in lines(out)) == there
+    assert made(sp.precompute_set(scans, out, **SMALL)) == ["b"]
+    assert sorted(path.name for path in out.iterdir()) == ["a.prt", "b.prt", "c.prt", NAME]
+
+
 def test_what_killed_processes_left_is_gone(tmp_path):
     """Half a file under another name, of outputs and of the records."""
     path, out = write_ball(tmp_path / "a.obj", 0, 1), tmp_path / "out"
