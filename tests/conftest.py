@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from slepian_prt.errors import UserError
-from slepian_prt.renderer.variants import chosen_variant, cuda_failure, imported_mitsuba, usable_variant
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from tests.browser import open_chromium
 
@@ -21,6 +19,9 @@ ROOT = Path(__file__).parent.parent
 
 def pytest_configure() -> None:
     """A variant that was asked for and does not work here ends it all, in one line."""
+    from slepian_prt.errors import UserError
+    from slepian_prt.renderer.variants import usable_variant
+
     try:
         usable_variant()
     except UserError as error:
@@ -30,6 +31,8 @@ def pytest_configure() -> None:
 @pytest.fixture
 def cuda() -> Iterator[Any]:
     """Mitsuba in cuda_ad_rgb; tests that need it are skipped where there is no device."""
+    from slepian_prt.renderer.variants import chosen_variant, cuda_failure, imported_mitsuba
+
     if failure := cuda_failure():
         pytest.skip(f"CUDA: {failure}")
     with chosen_variant("cuda_ad_rgb"):
