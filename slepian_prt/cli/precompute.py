@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     KEPT_ORDER,
@@ -21,7 +22,6 @@ from slepian_prt.cli.options import (
     transport_options,
 )
 from slepian_prt.cli.values import Names, read_light, settings_of
-from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
