@@ -12,8 +12,6 @@ import pytest
 import trimesh
 
 from slepian_prt.distributed.crew import Crew, open_crew
-from slepian_prt.errors import UserError
-from slepian_prt.renderer.variants import chosen_variant, cuda_failure, imported_mitsuba, usable_variant
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from tests.browser import open_chromium
 
@@ -22,6 +20,9 @@ ROOT = Path(__file__).parent.parent
 
 def pytest_configure() -> None:
     """A variant that was asked for and does not work here ends it all, in one line."""
+    from slepian_prt.errors import UserError
+    from slepian_prt.renderer.variants import usable_variant
+
     try:
         usable_variant()
     except UserError as error:
@@ -31,6 +32,8 @@ def pytest_configure() -> None:
 @pytest.fixture
 def cuda() -> Iterator[Any]:
     """Mitsuba in cuda_ad_rgb; tests that need it are skipped where there is no device."""
+    from slepian_prt.renderer.variants import chosen_variant, cuda_failure, imported_mitsuba
+
     if failure := cuda_failure():
         pytest.skip(f"CUDA: {failure}")
     with chosen_variant("cuda_ad_rgb"):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     clamp_option,
@@ -17,7 +18,6 @@ from slepian_prt.cli.options import (
     seed_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
-from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 @clamp_option
 @click.option("--tolerance", type=float, help="Wanted relative error of coding.  [default: that of the noise]")
 @click.option("--no-smooth", is_flag=True, help="Keep the noise as it is.")
+@variant_option
 @parameters_option
 @seed_option
-@variant_option
 def capture(
     scene: str,
     output: str,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import say
 from slepian_prt.cli.options import (
     clamp_option,
@@ -23,7 +24,6 @@ from slepian_prt.cli.options import (
     width_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
-from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:

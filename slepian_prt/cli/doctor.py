@@ -6,8 +6,8 @@ import json
 
 import click
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.options import json_option
-from slepian_prt.cli.variant import variant_option
 
 
 @click.command()

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import clamp_option, file_argument, output_option, rotate_option
 from slepian_prt.cli.values import read_maps, read_transfer
-from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 from slepian_prt.export.kinds import ATTRIBUTES, KINDS, check_export
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import crew_options, grouping_options, output_option, transport_options
 from slepian_prt.cli.precompute_options import compression_options, goal_options, keep_order_option
 from slepian_prt.cli.scans import into_folder, precompute_scans, set_options
 from slepian_prt.cli.values import read_light, settings_of
-from slepian_prt.cli.variant import variant_option
 from slepian_prt.cli.workers import crew_of
 from slepian_prt.errors import UserError
 from slepian_prt.files import KEPT_ORDER

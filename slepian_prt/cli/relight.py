@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     clamp_option,
@@ -19,7 +20,6 @@ from slepian_prt.cli.options import (
     width_option,
 )
 from slepian_prt.cli.values import Names, read_transfer, settings_of
-from slepian_prt.cli.variant import variant_option
 
 
 @click.command()

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import trimesh
 
+from slepian_prt.renderer import variants
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from slepian_prt.transport.device.visibility import DeviceTracer
@@ -28,7 +29,7 @@ def rays_per_second(directions: int = 256, repeats: int = 3) -> float:
     mesh = bumpy_sphere()
     with open_scene(mesh) as scene:
         chosen = np.arange(0, len(mesh.positions), 4)
-        on_device = scene.mi.variant().startswith("cuda_")
+        on_device = variants.is_on_device(scene.mi)
         tracer = (DeviceTracer if on_device else VisibilityTracer)(scene, direction_set(directions), 0)
         tracer.trace(chosen)  # compiles the kernel
         rates = []

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     albedo_option,
@@ -25,7 +26,6 @@ from slepian_prt.cli.options import (
     seed_option,
 )
 from slepian_prt.cli.values import Several, read_maps, settings_of
-from slepian_prt.cli.variant import variant_option
 
 if TYPE_CHECKING:
     from slepian_prt.evaluation.sweep.results import Sweep
@@ -55,8 +55,8 @@ def _axis(flag: str, kind: type, metavar: str, default: str | None, what: str) -
 @seed_option
 @rotate_option
 @clamp_option
-@noise_option(0.005)
 @variant_option
+@noise_option(0.005)
 def sweep(
     scene: str,
     environment: tuple[str, ...],

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.commands import with_flags
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
@@ -23,7 +24,6 @@ from slepian_prt.cli.options import (
     rotate_option,
 )
 from slepian_prt.cli.values import read_transfer, settings_of
-from slepian_prt.cli.variant import variant_option
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.paths.tracer import PathEnds
+from slepian_prt.renderer import variants
 from slepian_prt.sphere.harmonics import legendre_factors, num_coefficients
 
 
@@ -73,7 +74,7 @@ def sum_paths(mi: Any, bandlimit: int, ends: PathEnds, per_receiver: int) -> Pat
 
     β, direction = dr.select(ends.escaped, ends.throughput, 0.0), mi.Vector3f(ends.ray.d)
     dr.eval(β, direction)
-    by = sum_by_products if mi.variant().startswith("cuda_") else sum_by_loops
+    by = sum_by_products if variants.is_on_device(mi) else sum_by_loops
     return by(mi, bandlimit, β, direction, per_receiver)
 
 

@@ -85,6 +85,14 @@ def cuda_works() -> bool:
     return not cuda_failure()
 
 
+def is_on_device(mi: Any) -> bool:
+    """Whether arrays of Mitsuba's variant are on a card, so that what is made of them is best made there.
+
+    Asked for by way of the module, so that tests may have the same done on processors.
+    """
+    return (mi.variant() or "").startswith("cuda_")
+
+
 @contextmanager
 def chosen_variant(name: str | None) -> Iterator[None]:
     """Heavy work within the block runs in the variant of that name, also in processes that are started; None: any.

@@ -17,6 +17,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.renderer import variants
 from slepian_prt.scene.scene import Scene
 from slepian_prt.slepian.kernels import cosine_lobe, zonal_vectors
 from slepian_prt.sphere.harmonics import num_coefficients
@@ -106,7 +107,7 @@ class DirectTransfer(Estimator[_TracedBlock]):
     @property
     def stays_on_device(self) -> bool:
         """Whether blocks are `DeviceBlock`, and are traced and projected in one thread: a device works on by itself."""
-        return self.scene.mi.variant().startswith("cuda_") if self.on_device is None else self.on_device
+        return variants.is_on_device(self.scene.mi) if self.on_device is None else self.on_device
 
     @cached_property
     def _is_traced(self) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer import variants
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.reflectance.materials import surface_points
 from slepian_prt.scene.scene import Scene
@@ -80,7 +81,7 @@ class ViewTransfer(Estimator[_ViewSamples]):
         on_device: bool | None = None,
     ) -> None:
         mi = scene.mi
-        self._on_device = mi.variant().startswith("cuda_") if on_device is None else on_device
+        self._on_device = variants.is_on_device(mi) if on_device is None else on_device
         self.scene, self.bandlimit = scene, bandlimit
         self._mi, self._shadows, self._rays = mi, shadows, 0
         self._half = max(4, samples // 2)

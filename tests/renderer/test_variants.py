@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from slepian_prt.cli import machine, main
+from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.commands import COMMANDS, cli
-from slepian_prt.cli.variant import variant_option
 from slepian_prt.errors import UserError
 from slepian_prt.renderer import variants
 from slepian_prt.renderer.variants import chosen_variant, cuda_failure, imported_mitsuba, mitsuba, usable_variant

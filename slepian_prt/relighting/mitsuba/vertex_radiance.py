@@ -13,6 +13,7 @@ from slepian_prt.relighting.mitsuba.emission import EnvmapTables, distant_light
 from slepian_prt.relighting.mitsuba.linear_op import linear_op
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.relighting.relight import NOISE, negative_fraction
+from slepian_prt.renderer import variants
 from slepian_prt.sphere.harmonics import degrees
 
 
@@ -51,7 +52,7 @@ class VertexRadiance:
     ) -> None:
         self._mi, self._packed, self._turn = mi, packed, turn
         self._damping = np.tile(damping[degrees(packed.bandlimit)], 3).astype(np.float32)
-        self._on_device = mi.variant().startswith("cuda_") if on_device is None else on_device
+        self._on_device = variants.is_on_device(mi) if on_device is None else on_device
         self._operator: DeviceOperator | None = None
         self._tables = EnvmapTables() if self._on_device else None
         self.negative = 0.0

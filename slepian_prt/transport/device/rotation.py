@@ -27,7 +27,9 @@ def padded(size: int) -> int:
 
 
 def padded_rows(values: NDArray, columns: int) -> NDArray[np.float32]:
-    """(n, columns) float32 of (n, k) values with zeros behind."""
+    """(n, columns) float32 of (n, k) values with zeros behind; the values themselves where they are that already."""
+    if values.shape[1] == columns:
+        return np.ascontiguousarray(values, dtype=np.float32)
     rows = np.zeros((len(values), columns), dtype=np.float32)
     rows[:, : values.shape[1]] = values
     return rows

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from slepian_prt.renderer.variants import imported_mitsuba
+from slepian_prt.renderer import variants
 from slepian_prt.transport.device.rotation import PACKET, padded, padded_rows
 from slepian_prt.transport.hemisphere import pairs
 
@@ -19,8 +19,8 @@ Product = Callable[[NDArray], NDArray[np.float32]]
 
 def product_with(matrix: csr_array) -> Product:
     """What multiplies a matrix (n, V) by values (V, k): a graphics card if Mitsuba's variant is one of CUDA."""
-    mi = imported_mitsuba()
-    if (mi.variant() or "").startswith("cuda_"):
+    mi = variants.imported_mitsuba()
+    if variants.is_on_device(mi):
         return DeviceSparse(mi, matrix).multiply
     return lambda values: matrix @ values
 

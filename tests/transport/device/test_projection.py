@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slepian_prt.renderer.variants import mitsuba
+from slepian_prt.renderer.variants import is_on_device, mitsuba
 from slepian_prt.transport.device.projection import DeviceBlock, DeviceTables
 from slepian_prt.transport.device.rotation import angles_of
 from slepian_prt.transport.device.visibility import DeviceVisibility
@@ -113,4 +113,4 @@ def test_blocks_of_a_device_are_larger():
         assert on_device.block_size > on_host.block_size
         assert on_device.stays_on_device
         assert not on_host.stays_on_device
-        assert planned.estimator().stays_on_device == planned.scene.mi.variant().startswith("cuda")
+        assert planned.estimator().stays_on_device == is_on_device(planned.scene.mi)
