@@ -12,11 +12,15 @@ if TYPE_CHECKING:
 
 @contextmanager
 def given_crew(client: Any) -> Iterator[Crew | None]:
-    """The workers of a client, as of `open_crew`; None without one, and nothing of Dask is imported."""
+    """The workers of a client, as of `open_crew`; a crew itself; None without one, and nothing of Dask is imported."""
     if client is None:
         yield None
         return
-    from slepian_prt.distributed.crew import open_crew
+    from slepian_prt.distributed.crew import Crew, open_crew
+
+    if isinstance(client, Crew):
+        yield client
+        return
 
     with open_crew(client=client) as crew:
         yield crew

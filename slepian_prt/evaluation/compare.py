@@ -15,7 +15,7 @@ from slepian_prt.evaluation.comparison import Comparison, View
 from slepian_prt.evaluation.forecast import forecast
 from slepian_prt.evaluation.ladder import NO_BANDLIMIT, Stage, StageError, measure_stages
 from slepian_prt.evaluation.lights import check_lights, lights_of
-from slepian_prt.evaluation.measuring import measure_methods
+from slepian_prt.evaluation.measuring import Measured, measure_methods
 from slepian_prt.evaluation.methods import (
     DEFAULT_METHODS,
     DEFAULT_TERMS,
@@ -33,16 +33,18 @@ from slepian_prt.relighting.drawing.backdrop import draw_backdrop
 from slepian_prt.relighting.drawing.camera import Camera, aim_camera, trace_camera
 from slepian_prt.relighting.drawing.pictures import MAP, Finish
 from slepian_prt.relighting.relight import negative_fraction, relight
+from slepian_prt.scene.scene import Scene
 from slepian_prt.scene.sensors import DEFAULT_WIDTH
 from slepian_prt.scene.view import Aim
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.effects import Effect
-from slepian_prt.transport.planned import plan_scene
+from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import Transfer, compute_transfer
 
 if TYPE_CHECKING:
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.scene.loading import SceneSource
 
 # Pictures are shown of the number of functions nearest to this.
@@ -91,22 +93,15 @@ def compare(
     ------
     UserError, ValueError
     """
-    check_lights(scene, environments)
-    if not 0.0 < noise < 1.0:
-        raise UserError(f"noise must be a number in (0, 1), not {noise!r}")
-    check_methods(methods)
+    _check(scene, environments, methods, noise)
     transport, grouping = transport or TransportSettings(), grouping or CompressionSettings()
     finish = finish or Finish("white")
     terms = _possible_terms(terms, int(transport.bandlimit))
     started = time.perf_counter()
     with given_crew(client) as crew:
-        with (
-            plan_scene(scene, transport, on_plan, lamps=False) as here,
-            by_workers(here, crew, scene) as planned,
-        ):
+        with plan_scene(scene, transport, on_plan, lamps=False) as here, by_workers(here, crew, scene) as planned:
             environments = lights_of(planned.scene, environments)
-            toward_view = planned.plan.view is not None
-            framed = width or DEFAULT_WIDTH
+            framed, toward_view = width or DEFAULT_WIDTH, planned.plan.view is not None
             seen = aim_camera(planned.scene, aim, framed, toward_view=toward_view)
             if crew is None:
                 report("pilot, for the time")
@@ -114,21 +109,13 @@ def compare(
                 planned.clock.stop("forecast")
             report("transport")
             transfer = compute_transfer(planned, advance)
-            report("camera")
-            camera = trace_camera(seen, width)
             bounces = path_bounces(transfer.bounces, transfer.effects)
             wanted = WantedReferences(environments, aim, framed, width, noise, bounces, toward_view)
-            references = find_references(planned, seen, wanted, report)
-            pairs = zip(environments, references, strict=True)
-            views = [_view(transfer, light, camera, finish, *found) for light, found in pairs]
+            camera, views = _look(planned, seen, transfer, wanted, finish, report)
         groups = group_transfer(grouping, transfer)
         work = Workload(transfer, groups, [view.lighting for view in views], terms, report)
         pictured_terms = min(terms, key=lambda k: abs(k - _PICTURED_TERMS))
-        if crew is None:
-            runs = run_methods(methods, work)
-            results, lossy, views = measure_methods(runs, methods[0], transfer, views, camera, pictured_terms)
-        else:
-            results, lossy, views = measure_by_workers(crew, methods, work, views, camera, pictured_terms)
+        results, lossy, views = _measure(crew, methods, work, views, camera, pictured_terms)
     report("ladder")
     ladder = [error for view in views for error in _measure_ladder(view, transfer, camera, lossy.values())]
     angles = [cap.half_angle for cap in groups.clusters.caps]
@@ -148,12 +135,40 @@ def compare(
     )
 
 
+def _check(scene: SceneSource, environments: Sequence[Environment], methods: Sequence[str], noise: float) -> None:
+    check_lights(scene, environments)
+    if not 0.0 < noise < 1.0:
+        raise UserError(f"noise must be a number in (0, 1), not {noise!r}")
+    check_methods(methods)
+
+
+def _measure(
+    crew: Crew | None, methods: Sequence[str], work: Workload, views: list[View], camera: Camera, pictured_terms: int
+) -> Measured:
+    """All methods, here or by workers."""
+    if crew is not None:
+        return measure_by_workers(crew, methods, work, views, camera, pictured_terms)
+    runs = run_methods(methods, work)
+    return measure_methods(runs, methods[0], work.transfer, views, camera, pictured_terms)
+
+
 def _possible_terms(terms: Sequence[int], bandlimit: int) -> list[int]:
     """Those numbers of functions that the bandlimit has, or else all functions."""
     size = num_coefficients(bandlimit)
     for k in terms:
         check_integer(k, "terms", 1, _LARGEST_TERMS)
     return sorted({k for k in terms if k <= size}) or [size]
+
+
+def _look(
+    planned: PlannedScene, seen: Scene, transfer: Transfer, wanted: WantedReferences, finish: Finish, report: Report
+) -> tuple[Camera, list[View]]:
+    """The camera of the pictures, and what is there under each environment."""
+    report("camera")
+    camera = trace_camera(seen, wanted.width)
+    references = find_references(planned, seen, wanted, report)
+    pairs = zip(wanted.environments, references, strict=True)
+    return camera, [_view(transfer, environment, camera, finish, *found) for environment, found in pairs]
 
 
 def _view(
