@@ -224,7 +224,7 @@ def test_a_worker_of_whom_nobody_heard_is_seen(cluster, monkeypatch):
 
 
 def test_no_worker_is_left(cluster, monkeypatch):
-    monkeypatch.setattr("slepian_prt.distributed.crew.GLANCE", 0.02)
+    monkeypatch.setattr("slepian_prt.distributed.inflow.GLANCE", 0.02)
     monkeypatch.setattr(roster, "_PATIENCE", {False: 0.05})
     with open_crew(client=cluster) as crew:
         cluster.scale(0)
