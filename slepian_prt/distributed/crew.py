@@ -223,8 +223,10 @@ class Crew:
             self._let_go(self._roster.name)
 
     def _let_go(self, prefix: str) -> None:
-        if self.client.status == "running" and (addresses := self._addresses()):
-            self.client.run(forget, prefix, wait=False, workers=addresses, on_error="ignore")
+        if self.client.status != "running":
+            return
+        with contextlib.suppress(OSError):  # then there is nobody who holds anything
+            self.client.run(forget, prefix, wait=False, workers=self._addresses(), on_error="ignore")
 
     def _addresses(self) -> list[str]:
         return self.client.sync(self._roster.addresses)
