@@ -126,6 +126,8 @@ def make_security(ca_file: str | None, cert: str | None, key: str | None) -> Sec
 
 
 def _connect(dask: ModuleType, client: Any, address: str, security: Any) -> Client:
+    from distributed.comm import CommClosedError
+
     try:
         if isinstance(client, str):
             _ask(dask, address, security)
@@ -133,9 +135,14 @@ def _connect(dask: ModuleType, client: Any, address: str, security: Any) -> Clie
             warnings.simplefilter("ignore")  # versions are compared by us
             return dask.Client(client, security=security, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, asyncio.TimeoutError) as error:
-        reason = f"no Dask scheduler answered at {address} within {_PATIENCE:.0f} s"
         if "ssl" in repr(error).lower() or "tls" in repr(error).lower():
             reason = f"the scheduler at {address} and we could not agree on TLS ({_short(error)})"
+        elif isinstance(error, CommClosedError):
+            reason = (
+                f"what listens at {address} closed the connection: it is no Dask scheduler, or one with TLS (tls://)"
+            )
+        else:
+            reason = f"no Dask scheduler answered at {address} within {_PATIENCE:.0f} s"
         raise UserError(f"{reason}; check the address, and that it is reached from here") from None
     except (TypeError, ValueError, RuntimeError) as error:
         if "ssl_context" in str(error) or "TLS" in str(error):

@@ -132,7 +132,13 @@ def test_tls(certificates, impatient):
             assert crew.gather(crew.submit(tasks.wait, [0.0])) == [0.0]
         with pytest.raises(UserError, match="speaks TLS; give the certificates too"), open_crew(scheduler=address):
             pass
-        with pytest.raises(UserError, match=f"{address}.*check"), open_crew(scheduler=address, security=others):
+        plain = address.replace("tls://", "tcp://")
+        with pytest.raises(UserError, match=f"{plain} closed the connection.*tls://"), open_crew(scheduler=plain):
+            pass
+        with (
+            pytest.raises(UserError, match=f"{address} and we could not agree"),
+            open_crew(scheduler=address, security=others),
+        ):
             pass
 
 
