@@ -384,6 +384,25 @@ def shannon() -> None:
     print("docs/shannon.md")
 
 
+def workers() -> None:
+    """Efficiency of simulated workers, and how busy the scheduler and the client are."""
+    from benchmarks.workers import replay_all
+
+    runs = list(replay_all())
+    number = [run.equivalent for run in runs]
+    figure, axis = plt.subplots(figsize=(7, 4))
+    axis.plot(
+        number, [100.0 * run.efficiency for run in runs], "o-", color=COLORS[0], label="efficiency of the workers"
+    )
+    for name, color in (("scheduler", COLORS[1]), ("client", COLORS[2])):
+        busy = [100.0 * getattr(run, f"{name}_seconds") / run.least_seconds for run in runs]
+        axis.plot(number, busy, "o--", color=color, label=f"the {name} has to work, of the time of the tasks")
+    axis.set(xscale="log", xlabel="workers of one core", ylabel="%", ylim=(0, 105))
+    axis.set_xticks(number, [f"{each:g}" for each in number])
+    axis.legend(frameon=False)
+    save(figure, "workers")
+
+
 FIGURE_MAKERS = {
     "teaser": teaser,
     "clean": clean,
@@ -397,6 +416,7 @@ FIGURE_MAKERS = {
     "paper_figure_4": paper_figure_4,
     "functions": functions,
     "shannon": shannon,
+    "workers": workers,
 }
 
 

@@ -11,6 +11,7 @@ from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     clamp_option,
+    crew_options,
     environment_option,
     output_option,
     parameters_option,
@@ -18,6 +19,7 @@ from slepian_prt.cli.options import (
     seed_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
+from slepian_prt.cli.workers import crew_of
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 @variant_option
 @parameters_option
 @seed_option
+@crew_options
 def capture(
     scene: str,
     output: str,
@@ -75,8 +78,9 @@ def capture(
         raise UserError("`environment` says what `max_error` is about; give that too, and relight the file afterwards")
     power = _mean_power(environment, clamp_negative, settings.bandlimit)
     with (
+        crew_of(options) as crew,
         progress("paths", "pixels") as (advance, report),
-        open_capture(scene, settings, power, advance, report) as transfer,
+        open_capture(scene, settings, power, advance, report, crew) as transfer,
     ):
         film = film_of(transfer)
         if suffix == ".exr":

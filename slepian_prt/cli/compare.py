@@ -13,6 +13,7 @@ from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.messages import say
 from slepian_prt.cli.options import (
     clamp_option,
+    crew_options,
     environment_option,
     grouping_options,
     noise_option,
@@ -24,6 +25,7 @@ from slepian_prt.cli.options import (
     width_option,
 )
 from slepian_prt.cli.values import read_maps, settings_of
+from slepian_prt.cli.workers import crew_of
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="The sweep.json of this scene: its fronts are shown too.",
 )
+@crew_options
 @click.option("--viewer", is_flag=True, help="Beside the report, a page to turn model and light in: viewer.html.")
 @variant_option
 def compare(
@@ -96,7 +99,7 @@ def compare(
     check_report(output, [scene, *environment], [Path(path).stem for path in environment])
     sweep = None if swept is None else _read_sweep(swept, scene)
     maps = read_maps(environment, clamp_negative, rotate, aim.up)
-    with progress("transport", "vertices") as (advance, report):
+    with crew_of(options) as crew, progress("transport", "vertices") as (advance, report):
         comparison = run(
             scene,
             maps,
@@ -111,6 +114,7 @@ def compare(
             report=report,
             on_plan=print_plan,
             advance=advance,
+            client=crew,
         )
     wish = PageWish(aim=aim) if viewer else None
     page = write_report(comparison, output, "slepian-prt " + shlex.join(sys.argv[1:]), sweep, wish)

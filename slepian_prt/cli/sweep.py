@@ -16,6 +16,7 @@ from slepian_prt.cli.options import (
     albedo_option,
     clamp_option,
     crease_option,
+    crew_options,
     effects_option,
     environment_option,
     noise_option,
@@ -26,6 +27,7 @@ from slepian_prt.cli.options import (
     seed_option,
 )
 from slepian_prt.cli.values import Several, read_maps, settings_of
+from slepian_prt.cli.workers import crew_of
 
 if TYPE_CHECKING:
     from slepian_prt.evaluation.sweep.results import Sweep
@@ -57,6 +59,7 @@ def _axis(flag: str, kind: type, metavar: str, default: str | None, what: str) -
 @clamp_option
 @variant_option
 @noise_option(0.005)
+@crew_options
 def sweep(
     scene: str,
     environment: tuple[str, ...],
@@ -90,7 +93,7 @@ def sweep(
     check_folder(output)
     maps = read_maps(environment, clamp_negative, rotate)
     checkpoint = Path(output) / "sweep.partial.jsonl"
-    with progress("settings", "settings") as (advance, report):
+    with crew_of(options) as crew, progress("settings", "settings") as (advance, report):
         found = run(
             scene,
             maps,
@@ -101,6 +104,7 @@ def sweep(
             report=report,
             advance=advance,
             on_plan=print_plan,
+            client=crew,
         )
     found = replace(found, command="slepian-prt " + shlex.join(sys.argv[1:]))
     page = write_sweep(found, output)

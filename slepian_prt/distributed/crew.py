@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import queue
 import time
 import uuid
 import weakref
@@ -14,19 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slepian_prt.distributed.connection import dask_distributed, given_client, local_client, read_scheduler_file
-from slepian_prt.distributed.held import NotHeldError, Shared, call, forget, keep
+from slepian_prt.distributed.held import Shared, call, forget, keep
+from slepian_prt.distributed.inflow import Inflow
 from slepian_prt.distributed.local_cluster import has_dashboard
 from slepian_prt.distributed.roster import GLANCE, Roster
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
-
-# Results that are fetched at a time, so that many finished ones are not all here at once.
-_BATCH = 16
-
-# Seconds between looks at the workers while results come in.
-_LOOK = 5.0
 
 # Times that a value is brought to workers that die meanwhile.
 _ATTEMPTS = 5
@@ -108,7 +102,6 @@ class Crew:
         self._futures: weakref.WeakSet[Future] = weakref.WeakSet()
         self._values: dict[Shared, Any] = {}
         self._brought: dict[Shared, Future] = {}
-        self._next_look = 0.0
 
     @property
     def count(self) -> int:
@@ -190,21 +183,9 @@ class Crew:
         Exception
             What a task raised, as it was.
         """
-        finished: queue.SimpleQueue[int] = queue.SimpleQueue()
-        left, self._roster.deaths = len(futures), 0
-        self._roster.awaited += left
         try:
-            for number in range(len(futures)):
-                self._watch(futures[number], number, finished)
-            while left:
-                numbers = self._next(finished)
-                done = [number for number in numbers if self._is_done(futures[number], number, finished)]
-                for number, result in zip(done, self._fetch([futures[number] for number in done]), strict=True):
-                    left -= 1
-                    self._roster.awaited -= 1
-                    yield number, result
+            yield from Inflow(self.client, self._roster, futures, self._bring_again).results()
         except BaseException:
-            self._roster.awaited -= left
             self.cancel(futures)
             raise
 
@@ -232,54 +213,17 @@ class Crew:
             self._let_go(self._roster.name)
 
     def _let_go(self, prefix: str) -> None:
-        if self.client.status == "running" and (addresses := self._addresses()):
-            self.client.run(forget, prefix, wait=False, workers=addresses, on_error="ignore")
+        if self.client.status != "running":
+            return
+        with contextlib.suppress(OSError):  # then there is nobody who holds anything
+            self.client.run(forget, prefix, wait=False, workers=self._addresses(), on_error="ignore")
 
     def _addresses(self) -> list[str]:
         return self.client.sync(self._roster.addresses)
 
-    def _watch(self, future: Future, number: int, finished: queue.SimpleQueue[int]) -> None:
-        future.add_done_callback(lambda _: finished.put(number))
-
-    def _next(self, finished: queue.SimpleQueue[int]) -> list[int]:
-        """Numbers of tasks that have ended, once there are any."""
-        numbers: list[int] = []
-        while not numbers:
-            with contextlib.suppress(queue.Empty):
-                numbers.append(finished.get(timeout=GLANCE))
-            if not numbers or time.monotonic() > self._next_look:
-                self.client.sync(self._roster.check)
-                self._next_look = time.monotonic() + _LOOK
-        while len(numbers) < _BATCH and not finished.empty():
-            numbers.append(finished.get())
-        return numbers
-
-    def _is_done(self, future: Future, number: int, finished: queue.SimpleQueue[int]) -> bool:
-        """Whether there is a result; if what stood against it can be put right, it is done again."""
-        if future.status == "finished":
-            self._roster.deaths = 0
-            return True
-        if future.status in ("cancelled", "lost"):
-            self._roster.check_scheduler_is_there()
-            raise UserError("tasks were cancelled by somebody else; start the command again")
-        if future.status == "error":
-            fault = future.exception()
-            if isinstance(fault, NotHeldError):
-                shared = Shared(fault.name)
-                if not self.client.sync(self._roster.is_held, shared.name):
-                    self._bring(shared)
-            elif not isinstance(fault, dask_distributed().KilledWorker):
-                future.result()
-            self.client.retry([future])
-            self.client.sync(self._roster.check)
-        self._watch(future, number, finished)
-        return False
-
-    def _fetch(self, futures: list[Future]) -> list[Any]:
-        if not futures:
-            return []
-        gathered = self.client.gather(futures, direct=self._roster.is_direct, asynchronous=True)
-        return self.client.sync(self._roster.wait_for, gathered)
+    def _bring_again(self, name: str) -> None:
+        if not self.client.sync(self._roster.is_held, name):
+            self._bring(Shared(name))
 
     def _bring(self, shared: Shared) -> None:
         """To all workers, from one to the next; again, if it was lost with workers that died."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def given_crew(client: Any) -> Iterator[Crew | None]:
-    """The workers of a client, as of `open_crew`, or a crew as it is; None without one, and Dask is not imported."""
+    """The workers of a client, as of `open_crew`; a crew itself; None without one, and nothing of Dask is imported."""
     if client is None:
         yield None
         return
@@ -21,5 +21,6 @@ def given_crew(client: Any) -> Iterator[Crew | None]:
     if isinstance(client, Crew):
         yield client
         return
+
     with open_crew(client=client) as crew:
         yield crew

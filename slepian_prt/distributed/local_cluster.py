@@ -25,6 +25,12 @@ _FOLDER = "slepian-prt-workers-"
 # Ports for this machine only: the one where people look for a dashboard, or any for what there is without one.
 _DASHBOARD, _NO_DASHBOARD = "127.0.0.1:8787", "127.0.0.1:0"
 
+# Variables that children inherit, besides those of Dask's configuration.
+_FOR_CHILDREN = ("DASK_LOGGING__DISTRIBUTED", "PYTHONWARNINGS", "PYTHONHASHSEED")
+
+# How long Dask tries to reach a worker on this machine, which may just have died; it would try for half a minute.
+_CONNECT = "10s"
+
 # How often workers may die is decided by whether the work gets on, see `Crew.results`.
 _ANY_NUMBER = 10**9
 
@@ -36,10 +42,13 @@ def local_cluster(workers: int, security: Any = None) -> Iterator[LocalCluster]:
     When the with-block ends by an exception, what they are doing is not waited for. When we are killed they end too,
     and their folder is removed by the next that is opened.
     """
+    import dask
     from distributed import LocalCluster
 
     _forget_stale()
-    with kept_environment(), contextlib.ExitStack() as stack:
+    settings = dask.config.set({"distributed.comm.timeouts.connect": _CONNECT})
+    changed = [*dask.config.get("distributed.nanny.pre-spawn-environ"), *_FOR_CHILDREN]
+    with kept_environment(changed), settings, contextlib.ExitStack() as stack:
         folder = tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-")
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         # Of the children, from their first moment; the last of them counts semaphores when we are killed.
@@ -74,11 +83,13 @@ def has_dashboard() -> bool:
 
 
 def _kill(cluster: LocalCluster) -> None:
+    import psutil
+
     for nanny in list(cluster.workers.values()):
         nanny.close_gracefully()  # so that it starts no other
         if nanny.pid:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(nanny.pid, signal.SIGKILL)
+            with contextlib.suppress(psutil.NoSuchProcess):
+                psutil.Process(nanny.pid).kill()
 
 
 @contextmanager

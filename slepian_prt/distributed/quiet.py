@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 # Of Dask, and of what it stands on. Some of their children have levels of their own.
@@ -33,12 +33,14 @@ def quiet() -> Iterator[None]:
 
 
 @contextmanager
-def kept_environment() -> Iterator[None]:
-    """Environment variables that Dask sets for its children (OMP_NUM_THREADS and others) are ours again after it."""
-    before = dict(os.environ)
+def kept_environment(names: Iterable[str]) -> Iterator[None]:
+    """Environment variables of these names are after the with-block as they were before."""
+    before = {name: os.environ.get(name) for name in names}
     try:
         yield
     finally:
-        for name in set(os.environ) - set(before):
-            del os.environ[name]
-        os.environ.update(before)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -56,7 +56,7 @@ class Roster:
         self._chores: set[asyncio.Task[None]] = set()
         self._seen: set[str] = set()
         self._is_assembled = False
-        self._alone_since: float | None = None
+        self._alone = self._looked = 0.0  # seconds that were seen to pass without workers, and when it was looked
 
     async def assemble(self) -> None:
         """Examine the workers and, from now on, those that join.
@@ -116,12 +116,10 @@ class Roster:
                 f"{self.deaths} workers died one after the other and nothing was finished; if they ran out of memory, "
                 "use fewer on each machine"
             )
-        if any(worker["status"] == "running" for worker in able):
-            self._alone_since = None
-            return
         now = time.monotonic()
-        self._alone_since = self._alone_since or now
-        if now - self._alone_since > _PATIENCE[self._is_ours]:
+        seen, self._looked = min(now - self._looked, 2 * GLANCE), now  # nobody may have looked for long
+        self._alone = 0.0 if any(worker["status"] == "running" for worker in able) else self._alone + seen
+        if self._alone > _PATIENCE[self._is_ours]:
             if able:
                 raise UserError(
                     "all workers are paused by Dask, at the limit of their memory; start them with a higher "

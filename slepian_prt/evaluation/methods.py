@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,8 @@ class Workload:
         Numbers of functions.
     report : callable
         Given the name of each step as it begins.
+    tolerances : sequence of float
+        Of the methods that are also compared coded.
     """
 
     transfer: Transfer
@@ -68,6 +70,7 @@ class Workload:
     lighting: Sequence[NDArray]
     terms: Sequence[int]
     report: Callable[[str], None]
+    tolerances: Sequence[float] = _TOLERANCES
 
 
 @dataclass(frozen=True)
@@ -120,12 +123,15 @@ class Method:
     cost : float
         Time of all its runs with `DEFAULT_TERMS`, in units of one of spherical harmonics with `COST_TERMS`: processor
         time on 33,000 vertices at L = 10, and roughly so on other meshes.
+    parts : tuple of tuple of float
+        Tolerances that it is coded to; those together whose runs have something in common.
     """
 
     description: str
     style: CurveStyle
     run: Callable[[Workload], Iterator[MethodRun]]
     cost: float
+    parts: tuple[tuple[float, ...], ...] = ()
 
 
 def check_methods(methods: Sequence[str]) -> None:
@@ -142,6 +148,35 @@ def run_methods(methods: Sequence[str], work: Workload) -> Iterator[MethodRun]:
     for method in methods:
         yield from METHODS[method].run(work)
     yield from FULL_SH.run(work)
+
+
+class Part(NamedTuple):
+    """Runs of a method that do not depend on its others.
+
+    Attributes
+    ----------
+    method : str
+    terms : tuple of int
+    tolerances : tuple of float
+    """
+
+    method: str
+    terms: tuple[int, ...]
+    tolerances: tuple[float, ...]
+
+    def run(self, work: Workload) -> Iterator[MethodRun]:
+        """Its runs of a workload."""
+        method = FULL_SH if self.method == "none" else METHODS[self.method]
+        return method.run(replace(work, terms=self.terms, tolerances=self.tolerances))
+
+
+def parts_of(methods: Sequence[str], terms: Sequence[int]) -> list[Part]:
+    """All runs of `run_methods`, in its order."""
+    parts = []
+    for method in methods:
+        parts.append(Part(method, tuple(terms), ()))
+        parts += [Part(method, (), tolerances) for tolerances in METHODS[method].parts]
+    return [*parts, Part("none", (), ())]
 
 
 # --- How each is run -------------------------------------------------------------------------------------------------
@@ -167,7 +202,7 @@ def _linear(
         for k in work.terms:
             work.report(f"{name}, {k} terms")
             yield _run_of(name, next(packs), wanted_terms=k)
-        for tolerance in _TOLERANCES if coded else ():
+        for tolerance in work.tolerances if coded else ():
             work.report(f"{name}, coded to {tolerance:g}")
             packed = compress(
                 work.transfer, basis, tolerance=tolerance, clusters=work.grouping, light_prior=prior, refine=refine
@@ -180,11 +215,13 @@ def _linear(
 def _cpca(work: Workload) -> Iterator[MethodRun]:
     """Clusters are iterated once for all tolerances, and that time counts each time."""
     yield from _linear("cpca")(work)
+    if not work.tolerances:
+        return
     begin = time.perf_counter()
     axes, vectors = work.transfer.axes, work.transfer.vectors
     iterated = iterate_clusters(work.grouping.clusters, axes, vectors, USUAL_TERMS, work.report)
     seconds = time.perf_counter() - begin
-    for tolerance in _TOLERANCES:
+    for tolerance in work.tolerances:
         work.report(f"cpca, coded to {tolerance:g}")
         packed = compress(work.transfer, "pca", tolerance=tolerance, clusters=iterated)
         yield _run_of("cpca", packed, seconds=seconds)
@@ -220,6 +257,8 @@ def _run_of(
 # --- The methods -----------------------------------------------------------------------------------------------------
 
 # Bases that are run otherwise than `_linear` does.
+_EACH = tuple((tolerance,) for tolerance in _TOLERANCES)
+_PARTS = {"adapted": _EACH, "cpca": (_TOLERANCES,)}
 _RUNS = {"adapted": _linear("adapted", coded=True), "cpca": _cpca}
 
 # What answers the question what compression costs: this package's basis, the paper's, none at all, and one that has to
@@ -240,6 +279,7 @@ _VARIANTS = {
             CurveStyle("#D55E00", "*", "--"),
             _linear("adapted+light", prior_of_maps=True, coded=True),
             cost=29.0,
+            parts=_EACH,
         ),
         "adapted+pca": Method(
             "principal axes inside nearly complete adapted coefficients of each cap, which are stored",
@@ -255,7 +295,7 @@ def _methods_of_bases() -> Iterator[tuple[str, Method]]:
     """Every basis by itself, and its variants after it."""
     for name, basis in BASES.items():
         run = _RUNS.get(name) or _linear(name)
-        yield name, Method(basis.description, basis.style, run, _COSTS[name])
+        yield name, Method(basis.description, basis.style, run, _COSTS[name], _PARTS.get(name, ()))
         yield from _VARIANTS.get(name, {}).items()
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from slepian_prt.transport.interior import find_interior
 
 # Points of paths that pass mirrors, glass, holes and particles of media, which are no bounces of transfer.
 _MANY_POINTS = 128
+
+# Most samples of a pixel, and of a vertex.
+LARGEST_PICTURE_SAMPLES, LARGEST_VERTEX_SAMPLES = 512, 2048
 
 # The root of x⁵ = x + 1.
 _RATIO = 1.1673039782614187
@@ -57,35 +60,70 @@ class ReferenceVertices:
     seconds: float
 
 
+class PictureHalf:
+    """Renders halves of a path-traced picture; arguments as of `render_reference`."""
+
+    def __init__(self, scene: Scene, environment: Environment, width: int | None, bounces: int) -> None:
+        mi = scene.mi
+        self._scene, self._width, self._dark = scene, width, _without_lamps(scene)
+        self._integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
+        emitter = environment_emitter(mi, environment)
+        self._emitter = mi.load_dict(emitter) if isinstance(emitter, dict) else emitter
+
+    def __call__(self, samples: int, seed: int) -> NDArray[np.float64]:
+        """(H, W, 4) of so many samples."""
+        # Stratified samplers halve the noise of independent ones at the same cost, if they know the count.
+        lit = mitsuba_scene(self._dark, sensor=sensor(self._scene, self._width, samples), emitter=self._emitter)
+        picture = self._scene.mi.render(lit, integrator=self._integrator, spp=samples, seed=seed)
+        return np.array(picture, dtype=np.float64)
+
+
+class VertexHalf:
+    """Samples halves of radiance at vertices; arguments as of `vertex_reference`."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        environment: Environment,
+        vertices: NDArray[np.int64] | None,
+        bounces: int,
+        view: View | None,
+        seed: int = 0,
+    ) -> None:
+        self._scene, self._view, self._bounces, self._seed = scene, view, bounces, seed
+        self._chosen = np.arange(len(scene.mesh.positions)) if vertices is None else vertices
+        self._lit = mitsuba_scene(_without_lamps(scene), emitter=environment_emitter(scene.mi, environment))
+
+    def __call__(self, samples: int, number: int) -> NDArray[np.float64]:
+        """(n, 3) of so many samples."""
+        seed, scene, chosen = 65537 * self._seed + number, self._scene, self._chosen
+        if self._view is not None:
+            return _sample_toward(scene, self._lit, self._view, samples, seed, self._bounces)[chosen]
+        return _sample_vertices(scene, self._lit, chosen, samples, seed, self._bounces)
+
+
 def render_reference(
     scene: Scene,
     environment: Environment,
     *,
     width: int | None = None,
     noise: float = 0.005,
-    largest_samples: int = 512,
+    largest_samples: int = LARGEST_PICTURE_SAMPLES,
     bounces: int = 0,
 ) -> ReferencePicture:
     """Path-trace the scene until the noise of the picture is below ``noise`` (relative RMS), or to the largest count.
 
     ``bounces`` of light between surfaces are followed, as many as the transfer has.
     """
-    mi = scene.mi
     started = time.perf_counter()
-    integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
-    dark = _without_lamps(scene)
-    emitter = environment_emitter(mi, environment)
-    if isinstance(emitter, dict):
-        emitter = mi.load_dict(emitter)
+    half = PictureHalf(scene, environment, width, bounces)
+    return picture_of(_converge(half, converge(noise, largest_samples, channels=3)), started)
 
-    def half(samples: int, seed: int) -> NDArray[np.float64]:
-        # Stratified samplers halve the noise of independent ones at the same cost, if they know the count.
-        lit = mitsuba_scene(dark, sensor=sensor(scene, width, samples), emitter=emitter)
-        return np.array(mi.render(lit, integrator=integrator, spp=samples, seed=seed), dtype=np.float64)
 
-    halves, reached, samples = _converge(half, noise, largest_samples, channels=3)
-    picture = split_alpha(halves.mean(axis=0))
-    return ReferencePicture(picture, reached, samples, time.perf_counter() - started)
+def picture_of(found: Converged, started: float) -> ReferencePicture:
+    """The picture that two halves make, which were ``started`` then, by `time.perf_counter`."""
+    picture = split_alpha(found.halves.mean(axis=0))
+    return ReferencePicture(picture, found.noise, found.samples, time.perf_counter() - started)
 
 
 def vertex_reference(
@@ -93,7 +131,7 @@ def vertex_reference(
     environment: Environment,
     *,
     noise: float = 0.005,
-    largest_samples: int = 2048,
+    largest_samples: int = LARGEST_VERTEX_SAMPLES,
     bounces: int = 0,
     view: View | None = None,
     seed: int = 0,
@@ -107,27 +145,26 @@ def vertex_reference(
     Uses the same ray origins as the transfer, so that what differs from full SH is the bandlimit (and sampling). Of
     some ``vertices`` alone those inside other geometry stay black.
     """
-    mi = scene.mi
     started = time.perf_counter()
+    half = VertexHalf(scene, environment, vertices, bounces, view, seed)
+    found = _converge(half, converge(noise, largest_samples, stratified=False))
+    return vertices_of(scene, found, started, view, vertices)
+
+
+def vertices_of(
+    scene: Scene, found: Converged, started: float, view: View | None, vertices: NDArray[np.int64] | None = None
+) -> ReferenceVertices:
+    """The radiance that two halves make; arguments as of `vertex_reference` and `picture_of`."""
     chosen = np.arange(len(scene.mesh.positions)) if vertices is None else vertices
-    lit = mitsuba_scene(_without_lamps(scene), emitter=environment_emitter(mi, environment))
-
-    def half(samples: int, number: int) -> NDArray[np.float64]:
-        half_seed = 65537 * seed + number
-        if view is not None:
-            return _sample_toward(scene, lit, view, samples, half_seed, bounces)[chosen]
-        return _sample_vertices(scene, lit, chosen, samples, half_seed, bounces)
-
-    halves, reached, samples = _converge(half, noise, largest_samples, stratified=False)
     albedo = scene.mesh.albedo[chosen] if view is None else 1.0
-    mean = halves.mean(axis=0)
+    mean = found.halves.mean(axis=0)
     if view is None:
         mean[scene.is_hidden[chosen]] = 0.0
     if view is None and vertices is None:
         # What transport does for vertices inside other geometry.
         find_interior(scene, np.flatnonzero(~mean.any(axis=1) & scene.mesh.receivers.active)).fill(mean)
     radiance = (mean * albedo).astype(np.float32)
-    return ReferenceVertices(radiance, reached, samples, time.perf_counter() - started)
+    return ReferenceVertices(radiance, found.noise, found.samples, time.perf_counter() - started)
 
 
 def _without_lamps(scene: Scene) -> Scene:
@@ -140,39 +177,53 @@ def _without_lamps(scene: Scene) -> Scene:
     return replace(scene, shapes=tuple(shapes))
 
 
-def _converge(
-    half: Callable[[int, int], NDArray],
-    noise: float,
-    largest: int,
-    *,
-    channels: int | None = None,
-    stratified: bool = True,
-) -> tuple[NDArray, float, int]:
-    """Two independent halves (2, …) with enough samples, the noise of their mean, and the samples of both.
+class Converged(NamedTuple):
+    """Two independent halves (2, …), the relative RMS noise of their mean, and the samples of both."""
+
+    halves: NDArray
+    noise: float
+    samples: int
+
+
+# Asks for halves, of so many samples and by a seed each, and is sent them.
+Rounds = Generator[list[tuple[int, int]], list[NDArray], Converged]
+
+
+def converge(noise: float, largest: int, *, channels: int | None = None, stratified: bool = True) -> Rounds:
+    """Rounds of two independent halves, until they have enough samples.
 
     Each round starts afresh with the count that the last one's noise asks for: a stratified set twice as large beats
     two sets.
 
     Parameters
     ----------
-    half : callable
-        Given a number of samples and a seed.
     noise, largest : wanted relative RMS noise, and the most samples
     channels : of the last axis, those that noise counts in; all by default
     stratified : whether samplers want a square number in each half
     """
     samples, seed = 32, 0
     while True:
-        halves = np.stack([half(samples // 2, seed), half(samples // 2, seed + 1)])
+        halves = np.stack((yield [(samples // 2, seed), (samples // 2, seed + 1)]))
         reached = _half_noise(*halves[..., :channels])
         if reached <= noise or samples >= largest:
-            return halves, reached, samples
+            return Converged(halves, reached, samples)
         wanted = 1.1 * samples * (reached / noise) ** (1.0 / 0.7)
         if stratified:
             # Powers of four are squares.
             per_half = 4 ** math.ceil(math.log(wanted / 2, 4) - 1e-9)
             wanted = max(2 * per_half, 4 * samples)
         samples, seed = min(largest, max(2 * math.ceil(0.5 * wanted), 2 * samples)), seed + 2
+
+
+def _converge(half: Callable[[int, int], NDArray], rounds: Rounds) -> Converged:
+    """Go through the rounds in this process."""
+    asked = next(rounds)
+    while True:
+        try:
+            asked = rounds.send([half(*one) for one in asked])
+        except StopIteration as end:
+            found: Converged = end.value
+            return found
 
 
 def _sample_vertices(

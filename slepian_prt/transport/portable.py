@@ -106,7 +106,7 @@ def make_portable(planned: PlannedScene, source: SceneSource) -> PortableScene:
         sent = replace(scene.mesh)  # without what it has worked out of itself
     elif isinstance(source, str | Path):
         sent, digest = str(Path(source).resolve()), digest_geometry(scene)
-    elif isinstance(source, dict) and _can_be_pickled(source):
+    elif isinstance(source, dict) and can_be_pickled(source):
         sent, digest = source, digest_geometry(scene)
     else:
         raise UserError(
@@ -132,7 +132,8 @@ def digest_geometry(scene: Scene) -> bytes:
     return digest.digest()
 
 
-def _can_be_pickled(source: dict[str, Any]) -> bool:
+def can_be_pickled(source: dict[str, Any]) -> bool:
+    """Whether a dict of a Mitsuba scene holds nothing that is in this process alone."""
     try:
         pickle.dumps(source)
     except Exception:  # whatever the objects in it raise

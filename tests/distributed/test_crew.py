@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -223,13 +224,23 @@ def test_a_worker_of_whom_nobody_heard_is_seen(cluster, monkeypatch):
 
 
 def test_no_worker_is_left(cluster, monkeypatch):
-    monkeypatch.setattr("slepian_prt.distributed.crew.GLANCE", 0.02)
+    monkeypatch.setattr("slepian_prt.distributed.inflow.GLANCE", 0.02)
     monkeypatch.setattr(roster, "_PATIENCE", {False: 0.05})
     with open_crew(client=cluster) as crew:
         cluster.scale(0)
         assert wait_until(lambda: crew.count == 0)
         with pytest.raises(UserError, match="all workers are gone and none came back"):
             crew.gather(crew.submit(tasks.wait, [0.0]))
+
+
+def test_time_in_which_nobody_looked_does_not_count(cluster, monkeypatch):
+    with open_crew(client=cluster) as crew:
+        cluster.scale(0)
+        assert wait_until(lambda: crew.count == 0)
+        crew.client.sync(crew._roster.check)
+        later = time.monotonic() + 10_000.0
+        monkeypatch.setattr(roster, "time", SimpleNamespace(monotonic=lambda: later))
+        crew.client.sync(crew._roster.check)
 
 
 def test_the_scheduler_is_gone(cluster):

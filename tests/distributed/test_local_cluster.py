@@ -60,10 +60,11 @@ def test_folders_of_processes_that_were_killed_are_removed(tmp_path, monkeypatch
 
 
 def test_the_environment_is_as_before(monkeypatch):
-    monkeypatch.setenv("KEPT", "1")
     monkeypatch.setenv("CHANGED", "1")
-    before = dict(os.environ)
-    with kept_environment():
-        os.environ.update(CHANGED="2", ADDED="3")
-        del os.environ["KEPT"]
-    assert dict(os.environ) == before
+    monkeypatch.setenv("REMOVED", "1")
+    monkeypatch.delenv("ADDED", raising=False)
+    monkeypatch.setenv("OTHER", "1")
+    with kept_environment(["CHANGED", "REMOVED", "ADDED"]):
+        os.environ.update(CHANGED="2", ADDED="2", OTHER="2")
+        del os.environ["REMOVED"]
+    assert [os.environ.get(name) for name in ("CHANGED", "REMOVED", "ADDED", "OTHER")] == ["1", "1", None, "2"]

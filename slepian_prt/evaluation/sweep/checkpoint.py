@@ -29,6 +29,8 @@ class SweepCheckpoint:
     planned : PlannedScene
     environments : sequence of Environment
     noise : float
+    workers : int or None
+        That measure, whose seconds are others than those of one process.
 
     Attributes
     ----------
@@ -37,10 +39,15 @@ class SweepCheckpoint:
     """
 
     def __init__(
-        self, path: Path | None, planned: PlannedScene, environments: Sequence[Environment], noise: float
+        self,
+        path: Path | None,
+        planned: PlannedScene,
+        environments: Sequence[Environment],
+        noise: float,
+        workers: int | None = None,
     ) -> None:
         self._path = path
-        self._key = _fingerprint(planned, environments, noise)
+        self._key = _fingerprint(planned, environments, noise, workers)
         self.points: dict[Setting, Point] = {}
         if path is None or not path.is_file():
             return
@@ -69,11 +76,11 @@ class SweepCheckpoint:
             self._path.unlink(missing_ok=True)
 
 
-def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noise: float) -> str:
+def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noise: float, workers: int | None) -> str:
     """A digest of everything but the axes that a point depends on."""
     digest = hashlib.sha256()
     settings = replace(planned.settings, samples=1, bandlimit=0, bounces=None)
-    digest.update(repr((versions(), machine(), settings, noise)).encode())
+    digest.update(repr((versions(), machine(), settings, noise, workers)).encode())
     mesh = planned.scene.mesh
     arrays = [mesh.positions, mesh.normals, mesh.faces, mesh.albedo]
     for shape in (*planned.scene.occluders, *instanced_shapes(planned.scene)):

@@ -100,7 +100,7 @@ def measure_references(
 
 
 @dataclass(frozen=True)
-class _CompressionTimes:
+class CompressionTimes:
     """What a setting took with the largest number of rays, and what those with fewer may start from."""
 
     compress: float
@@ -125,19 +125,18 @@ class SettingMeasurer:
     def __init__(self, metrics: dict[int, MapMetric]) -> None:
         self._metrics = metrics
         self._groupings: dict[int, tuple[Grouping, float]] = {}  # with their seconds, by the number of caps
-        self._times: dict[Setting, _CompressionTimes] = {}  # by the setting without its rays
+        self._times: dict[Setting, CompressionTimes] = {}  # by the setting without its rays
         self._shared: tuple[Setting, ToleranceSweep] | None = None  # the last, with the setting but its tolerance
 
     def measure(self, setting: Setting, transfer: Transfer, transport: TransportShare) -> Point:
         """Measure a setting on transfer of the highest bandlimit."""
         metric, transport_seconds = self._metrics[setting.bandlimit], transport.seconds(transfer)
         transfer = transfer.at_bandlimit(setting.bandlimit)
-        rays_aside = replace(setting, samples=0)
-        times = self._times.get(rays_aside)
+        times = self._times.get(rays_aside(setting))
         if times is None:
             packed = self._compress(setting, transfer)
             times, vectors = _measure_relighting(packed, metric)
-            self._times[rays_aside] = times
+            self._times[rays_aside(setting)] = times
         else:
             packed = self._tolerance_sweep(setting, transfer).compress(setting.tolerance, times.start)
             vectors = packed.reconstruct(metric.vertices)
@@ -152,6 +151,14 @@ class SettingMeasurer:
             times.prepare,
             times.relight,
         )
+
+    def times_of(self, setting: Setting) -> CompressionTimes:
+        """What a setting, or one with more rays, took."""
+        return self._times[rays_aside(setting)]
+
+    def know(self, setting: Setting, times: CompressionTimes) -> None:
+        """Let settings with other rays start from what another measurer found."""
+        self._times[rays_aside(setting)] = times
 
     def _grouping(self, clusters: int, transfer: Transfer) -> tuple[Grouping, float]:
         """Caps, which no other axis changes, and the seconds that they took."""
@@ -177,7 +184,12 @@ class SettingMeasurer:
         return self._shared[1]
 
 
-def _measure_relighting(packed: CompressedTransfer, metric: MapMetric) -> tuple[_CompressionTimes, NDArray]:
+def rays_aside(setting: Setting) -> Setting:
+    """What settings have in common that differ in their rays alone."""
+    return replace(setting, samples=0)
+
+
+def _measure_relighting(packed: CompressedTransfer, metric: MapMetric) -> tuple[CompressionTimes, NDArray]:
     """Times of relighting, and the vectors at the vertices of the metric while they are decoded."""
     begin = time.perf_counter()
     principal_axes = coded_along_principal_axes(packed)  # decodes
@@ -191,7 +203,7 @@ def _measure_relighting(packed: CompressedTransfer, metric: MapMetric) -> tuple[
     relit = (time.perf_counter() - prepared) / len(metric.lighting)
     start = None if packed.coded is None else WarmStart(packed.coded.tuning, principal_axes)
     prepare = decoded - begin + prepared - reconstructed
-    return _CompressionTimes(packed.seconds["compress"], prepare, relit, start), vectors
+    return CompressionTimes(packed.seconds["compress"], prepare, relit, start), vectors
 
 
 def _errors(metric: MapMetric, vectors: NDArray) -> dict[str, float]:

@@ -7,21 +7,25 @@ is stated. Rays are traced at the highest bandlimit; transfer of a lower one is 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from slepian_prt.distributed.given import given_crew
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.lights import check_lights, lights_of
-from slepian_prt.evaluation.sweep.axes import Axes
+from slepian_prt.evaluation.sweep.axes import Axes, Setting
+from slepian_prt.evaluation.sweep.by_workers import Level, measure_by_workers
 from slepian_prt.evaluation.sweep.checkpoint import SweepCheckpoint
 from slepian_prt.evaluation.sweep.measure import SettingMeasurer, measure_references, measure_shares
-from slepian_prt.evaluation.sweep.results import Sweep
+from slepian_prt.evaluation.sweep.results import Point, Sweep
+from slepian_prt.evaluation.vertex_error import MapMetric
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
@@ -42,6 +46,7 @@ def sweep(
     report: Callable[[str], None] = lambda _: None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
     on_plan: Callable[[tuple[Effect, ...]], None] = lambda _: None,
+    client: Any = None,
 ) -> Sweep:
     """Measure every setting.
 
@@ -57,7 +62,7 @@ def sweep(
         Where finished settings are kept until all are done; those found there are not measured again.
     report : given the name of each step as it begins
     advance : given (settings finished since the last call, settings in all)
-    on_plan : as of `precompute`
+    on_plan, client : as of `precompute`; seconds are those of the client's workers, which measure settings side by side
 
     Raises
     ------
@@ -69,9 +74,13 @@ def sweep(
         raise UserError(f"noise must be a number in (0, 1), not {noise!r}")
     settings = list(axes.settings())
     finest = replace(transport, samples=max(axes.samples), bandlimit=max(axes.bandlimits), bounces=axes.bounces[0])
-    with plan_scene(scene, finest, on_plan, lamps=False) as planned:
+    with (
+        given_crew(client) as crew,
+        plan_scene(scene, finest, on_plan, lamps=False) as planned,
+        by_workers(planned, crew, scene) as shared_out,
+    ):
         environments = lights_of(planned.scene, environments)
-        kept = SweepCheckpoint(checkpoint, planned, environments, noise)
+        kept = SweepCheckpoint(checkpoint, planned, environments, noise, None if crew is None else crew.count)
         points = {setting: kept.points[setting] for setting in settings if setting in kept.points}
         if points:
             report(f"{len(points)} of {len(settings)} settings were measured before and are kept")
@@ -81,21 +90,14 @@ def sweep(
         metrics = measure_references(planned, environments, axes, noise)
         references = next(iter(metrics.values())).references
         shared["references"] = sum(reference.seconds for reference in references)
-        measurer = SettingMeasurer(metrics)
-        for samples, bounces in product(sorted(axes.samples, reverse=True), axes.bounces):
-            left = [s for s in settings if (s.samples, s.bounces) == (samples, bounces) and s not in points]
-            if not left:
-                continue
-            report(f"transport, {samples} rays, L = {finest.bandlimit}")
-            of_rays = planned.with_settings(samples=samples, bounces=bounces)
-            shares = measure_shares(of_rays, axes.bandlimits)
-            of_rays.clock.stop("timing")
-            transfer = compute_transfer(of_rays)
-            for setting in left:
-                report(setting.label)
-                points[setting] = measurer.measure(setting, transfer, shares[setting.bandlimit])
-                kept.add(points[setting])
-                advance(1, len(settings))
+        left = [setting for setting in settings if setting not in points]
+        levels = _trace_levels(planned, shared_out, axes, left, report)
+        for point in (
+            _measure_here(levels, metrics, report) if crew is None else measure_by_workers(crew, list(levels), metrics)
+        ):
+            points[point.setting] = point
+            kept.add(point)
+            advance(1, len(settings))
     kept.remove()
     return Sweep(
         planned.scene.path,
@@ -106,6 +108,29 @@ def sweep(
         shared,
         planned.plan.effects,
     )
+
+
+def _trace_levels(
+    planned: PlannedScene, shared_out: PlannedScene, axes: Axes, left: Sequence[Setting], report: Callable[[str], None]
+) -> Iterator[Level]:
+    """Transport for each number of rays and bounces that is left, by whoever does it for ``shared_out``."""
+    for samples, bounces in product(sorted(axes.samples, reverse=True), axes.bounces):
+        own = tuple(s for s in left if (s.samples, s.bounces) == (samples, bounces))
+        if not own:
+            continue
+        report(f"transport, {samples} rays, L = {planned.settings.bandlimit}")
+        shares = measure_shares(planned.with_settings(samples=samples, bounces=bounces), axes.bandlimits)
+        yield Level(own, compute_transfer(shared_out.with_settings(samples=samples, bounces=bounces)), shares)
+
+
+def _measure_here(
+    levels: Iterable[Level], metrics: dict[int, MapMetric], report: Callable[[str], None]
+) -> Iterator[Point]:
+    measurer = SettingMeasurer(metrics)
+    for level in levels:
+        for setting in level.settings:
+            report(setting.label)
+            yield measurer.measure(setting, level.transfer, level.shares[setting.bandlimit])
 
 
 def _compile_kernels(planned: PlannedScene) -> float:

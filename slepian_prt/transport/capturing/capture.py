@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.distributed.given import given_crew
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.lamps import Lamp, lamps_of
@@ -23,8 +24,18 @@ from slepian_prt.scene.view import view_of
 from slepian_prt.transport.capturing.camera import CameraRays, find_camera
 from slepian_prt.transport.capturing.denoising import Pixels, guide_table, smoothed
 from slepian_prt.transport.capturing.guides import Guides, look_at_surfaces
-from slepian_prt.transport.capturing.lamp_pictures import LampPictures, picture_lamps
-from slepian_prt.transport.capturing.passes import Job, add_passes, axes_of, collect, film_of, fingerprint, noise_of
+from slepian_prt.transport.capturing.lamp_pictures import LampPictures, mean_pictures
+from slepian_prt.transport.capturing.passes import (
+    Job,
+    Tracer,
+    TracerHere,
+    add_passes,
+    axes_of,
+    collect,
+    film_of,
+    fingerprint,
+    noise_of,
+)
 from slepian_prt.transport.capturing.pixel_means import PixelMeans, kept_means
 from slepian_prt.transport.capturing.remarks import remark_on_light, remark_on_media
 from slepian_prt.transport.capturing.settings import CaptureSettings
@@ -33,6 +44,7 @@ from slepian_prt.transport.smoothing import relative_noise
 from slepian_prt.transport.transfer import Transfer
 
 if TYPE_CHECKING:
+    from slepian_prt.distributed.crew import Crew
     from slepian_prt.scene.loading import SceneSource
 
 
@@ -49,6 +61,7 @@ def capture(
     parameters: Mapping[str, object] | None = None,
     smooth: bool = True,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
+    client: Any = None,
 ) -> Transfer:
     """Transfer toward the pixels of a camera, of everything that Mitsuba's paths bring: glass, caustics, hair, media.
 
@@ -78,6 +91,8 @@ def capture(
         Take out noise along the picture, as far as it can be told from light.
     advance : callable
         Given (pixels finished since the last call, pixels in all), each pixel once for each pass.
+    client : distributed.Client, or address of a scheduler, optional
+        Whose workers trace; the result is the same to rounding.
 
     Returns
     -------
@@ -90,7 +105,7 @@ def capture(
         The scene cannot be used; a camera that is not there, or has no pixels; a number out of range.
     """
     settings = CaptureSettings(sensor, bandlimit, samples, max_error, max_seconds, seed, parameters, smooth)
-    with open_capture(scene, settings, power, advance) as transfer:
+    with given_crew(client) as crew, open_capture(scene, settings, power, advance, crew=crew) as transfer:
         return transfer
 
 
@@ -101,6 +116,7 @@ def open_capture(
     power: NDArray[np.float64] | None = None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
     report: Callable[[str], None] = lambda _: None,
+    crew: Crew | None = None,
 ) -> Iterator[Transfer]:
     """As `capture`; what was traced is kept for the same capture until the with-block ends well.
 
@@ -110,6 +126,8 @@ def open_capture(
     settings : CaptureSettings
     report : callable
         Told what is being done.
+    crew : Crew, optional
+        Workers that trace.
     """
     clock = Clock()
     power = None if power is None else _checked_power(power, settings.bandlimit)
@@ -121,9 +139,13 @@ def open_capture(
         with silent(mi):
             remark_on_media(mi, loaded, name, job.rays)
         clock.stop("load")
-        with kept_means(fingerprint(job), job.pixels, job.per_block, settings.bandlimit) as held:
-            finish = _Finish(job, held, look_at_surfaces(mi, loaded, job.rays), own, lamps)
-            passes = add_passes(job, held, lambda passes: noise_of(job, finish.pixels(passes)), advance)
+        name_of_it = fingerprint(job)
+        with (
+            kept_means(name_of_it, job.pixels, job.per_block, settings.bandlimit) as held,
+            _tracer(job, crew, scene, name_of_it) as tracer,
+        ):
+            finish = _Finish(job, tracer, held, look_at_surfaces(mi, loaded, job.rays), own, lamps)
+            passes = add_passes(job, tracer, held, lambda passes: noise_of(job, finish.pixels(passes)), advance)
             clock.stop("transport")
             pictures = finish.pictures(passes)
             if pictures is not None:
@@ -133,6 +155,14 @@ def open_capture(
             pixels = finish.pixels(passes)
             clock.stop("smooth")
             yield finish.transfer(pixels, pictures, passes, dict(clock.seconds))
+
+
+def _tracer(job: Job, crew: Crew | None, scene: SceneSource, name: str) -> AbstractContextManager[Tracer]:
+    if crew is None:
+        return nullcontext(TracerHere(job))
+    from slepian_prt.transport.capturing.by_workers import open_tracer
+
+    return open_tracer(job, crew, scene, name)
 
 
 def _checked_power(power: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
@@ -152,6 +182,7 @@ class _Finish:
     Attributes
     ----------
     job : Job
+    tracer : Tracer
     held : PixelMeans
         What was traced.
     guides : Guides
@@ -161,6 +192,7 @@ class _Finish:
     """
 
     job: Job
+    tracer: Tracer
     held: PixelMeans
     guides: Guides
     own: Environment | None
@@ -190,7 +222,7 @@ class _Finish:
     def pictures(self, passes: int) -> LampPictures | None:
         """What the scene's lamps send, by as many paths."""
         job, settings = self.job, self.job.settings
-        pictures = picture_lamps(job.mi, job.loaded, job.rays, self.lamps, settings.per_pass, passes, settings.seed)
+        pictures = mean_pictures(self.lamps, job.pixels, passes, self.tracer.lamp_pictures(self.lamps, passes))
         return pictures.smoothed(self.neighbours, self.table) if pictures is not None and settings.smooth else pictures
 
     def transfer(

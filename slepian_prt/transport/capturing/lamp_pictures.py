@@ -56,10 +56,10 @@ class LampPictures(NamedTuple):
         )
 
 
-def picture_lamps(
-    mi: Any, loaded: Any, rays: CameraRays, lamps: list[Lamp], samples: int, passes: int, seed: int
-) -> LampPictures | None:
-    """Pictures under each lamp alone; None without lamps.
+def picture_lamp(
+    mi: Any, loaded: Any, rays: CameraRays, lamp: Lamp, samples: int, seeds: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """(V, 3) mean radiance of the pixels under a lamp alone.
 
     Parameters
     ----------
@@ -67,22 +67,28 @@ def picture_lamps(
     loaded : Mitsuba scene
         As before afterwards.
     rays : CameraRays
-    lamps : list of Lamp
-    samples, passes : int
-        Of each pixel under each lamp, in each pass; two passes or more.
-    seed : int
+    lamp : Lamp
+    samples : int
+        Of each pixel.
+    seeds : tuple of int
+        That tell the picture from others.
     """
-    if not lamps:
-        return None
-    sums, squares = (np.zeros((len(lamps), rays.width * rays.height, 3)) for _ in range(2))
     has_media = any(shape.is_medium_transition() for shape in loaded.shapes())
     integrator = mi.load_dict({"type": "volpath" if has_media else "path", "max_depth": -1})
-    for number, lamp in enumerate(lamps):
-        with silent(mi), _alone(mi, loaded, lamp.place):
-            for one in range(passes):
-                picture = _picture(mi, loaded, integrator, rays, samples, (seed, one, 1 + number))
-                sums[number] += picture
-                squares[number] += np.square(picture, dtype=np.float64)
+    with silent(mi), _alone(mi, loaded, lamp.place):
+        return _picture(mi, loaded, integrator, rays, samples, seeds)
+
+
+def mean_pictures(
+    lamps: list[Lamp], pixels: int, passes: int, pictures: Iterator[NDArray[np.float32]]
+) -> LampPictures | None:
+    """Pictures under each lamp alone, the means over two passes or more, which come in order; None without lamps."""
+    if not lamps:
+        return None
+    sums, squares = (np.zeros((len(lamps), pixels, 3)) for _ in range(2))
+    for place, picture in enumerate(pictures):
+        sums[place // passes] += picture
+        squares[place // passes] += np.square(picture, dtype=np.float64)
     means = sums / passes
     variance = np.maximum(squares / passes - means**2, 0.0) / max(passes - 1, 1)
     return LampPictures(lamps, means.astype(np.float32), variance.astype(np.float32))

@@ -8,22 +8,24 @@ import logging
 import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.lighting.lamps import Lamp
 from slepian_prt.lighting.spectrum import falling_prior
 from slepian_prt.paths.tracer import PathTracer
 from slepian_prt.scene.film import Film, stored_axes
 from slepian_prt.sphere.harmonics import degrees
 from slepian_prt.transport.capturing.camera import CameraRays
 from slepian_prt.transport.capturing.denoising import Pixels
-from slepian_prt.transport.capturing.pixel_means import PixelMeans
+from slepian_prt.transport.capturing.lamp_pictures import picture_lamp
+from slepian_prt.transport.capturing.pixel_means import BlockMeans, PixelMeans
 from slepian_prt.transport.capturing.pixel_paths import LANES, PixelPaths
 from slepian_prt.transport.capturing.remarks import check_means
 from slepian_prt.transport.capturing.settings import CaptureSettings
@@ -102,12 +104,51 @@ def fingerprint(job: Job) -> str:
     return digest.hexdigest()[:32]
 
 
-def add_passes(job: Job, held: PixelMeans, noise: Callable[[int], float], advance: Callable[[int, int], None]) -> int:
+class Tracer(Protocol):
+    """What traces blocks of pixels, and pictures of lamps."""
+
+    def blocks(self, items: Sequence[tuple[NDArray[np.int64], int]]) -> Iterator[BlockMeans]:
+        """Passes of some pixels by their numbers, in order."""
+        ...
+
+    def lamp_pictures(self, lamps: Sequence[Lamp], passes: int) -> Iterator[NDArray[np.float32]]:
+        """(V, 3) for each lamp and pass, in order."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class TracerHere:
+    """Traces in this process."""
+
+    job: Job
+
+    def blocks(self, items: Sequence[tuple[NDArray[np.int64], int]]) -> Iterator[BlockMeans]:
+        """As of `Tracer`."""
+        return (self.job.paths.trace(pixels, number) for pixels, number in items)
+
+    def lamp_pictures(self, lamps: Sequence[Lamp], passes: int) -> Iterator[NDArray[np.float32]]:
+        """As of `Tracer`."""
+        return (
+            lamp_picture(self.job, lamp, one, 1 + number) for number, lamp in enumerate(lamps) for one in range(passes)
+        )
+
+
+def lamp_picture(job: Job, lamp: Lamp, one: int, stream: int) -> NDArray[np.float32]:
+    """(V, 3) of a lamp alone, in one of the passes."""
+    settings = job.settings
+    return picture_lamp(job.mi, job.loaded, job.rays, lamp, settings.per_pass, (settings.seed, one, stream))
+
+
+def add_passes(
+    job: Job, tracer: Tracer, held: PixelMeans, noise: Callable[[int], float], advance: Callable[[int, int], None]
+) -> int:
     """Trace until what is asked for is there; the number of passes, which all blocks have then.
 
     Parameters
     ----------
     job : Job
+    tracer : Tracer
+        Of the job.
     held : PixelMeans
         With what was finished before.
     noise : callable
@@ -125,16 +166,14 @@ def add_passes(job: Job, held: PixelMeans, noise: Callable[[int], float], advanc
     wanted = max(settings.passes, max(kept))
     if sum(kept):
         log.info("%d of %d blocks of pixels were finished before and are kept", sum(kept), held.blocks * wanted)
-        advance(done * job.pixels, wanted * job.pixels)
+        advance(sum(passes * len(held.pixels(block)) for block, passes in enumerate(kept)), wanted * job.pixels)
     while done < wanted:
-        while done < wanted:
-            for block in range(held.blocks):
-                if held.passes(block) == done:
-                    means = job.paths.trace(held.pixels(block), done)
-                    check_means(job.name, means)
-                    held.add(block, means)
-                advance(len(held.pixels(block)), wanted * job.pixels)
-            done += 1
+        left = [(b, p) for p in range(done, wanted) for b in range(held.blocks) if held.passes(b) <= p]
+        for (block, _), means in zip(left, tracer.blocks([(held.pixels(b), p) for b, p in left]), strict=True):
+            check_means(job.name, means)
+            held.add(block, means)
+            advance(len(held.pixels(block)), wanted * job.pixels)
+        done = wanted
         if settings.is_open:
             each = (time.perf_counter() - started) / max(done - first, 1)
             wanted = _wanted_passes(settings, done, noise, each)
