@@ -137,10 +137,10 @@ def _fits(line: str, expected: str) -> bool:
 
 
 def test_setup_commands_exist():
-    """Blocks of shell that are not run name scripts that are there; `py` is Python that needs what is not here."""
+    """Blocks of shell that are not run name scripts that are there."""
     for page in PAGES:
         for language, text, line in blocks(page):
-            known = ("python", "py", "console", "sh", "text", "json", "xml", "yaml", "glsl")
+            known = ("python", "console", "sh", "text", "json", "xml", "glsl", "yaml")
             assert language in known, f"{page}:{line}: {language}"
             for script in re.findall(r"scripts/(\w+)", text):
                 assert (ROOT / "scripts" / script).is_file(), f"{page}:{line}: scripts/{script}"

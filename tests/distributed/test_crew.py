@@ -93,6 +93,14 @@ def test_each_worker_of_a_machine_has_its_share_of_the_cores(crew: Crew):
     assert set(crew.gather(crew.submit(tasks.threads, range(4)))) == SHARE
 
 
+def test_values_are_opened_by_two_threads_at_least(crew: Crew):
+    """Mitsuba waits for ever when it reads an .exr with a single one."""
+    shared = crew.share(tasks.ThreadsToLoad())
+    assert set(crew.gather(crew.submit(tasks.same, range(4), shared))) == {max(2, *SHARE)}
+    assert set(crew.gather(crew.submit(tasks.threads, range(4)))) == SHARE
+    crew.release(shared)
+
+
 @pytest.mark.parametrize(("item", "kind", "words"), [(1, UserError, "item 1 is none"), (2, ZeroDivisionError, "of a")])
 def test_what_a_task_raises_is_raised_here_and_the_rest_is_cancelled(crew: Crew, item, kind, words):
     waiting = crew.submit(tasks.wait, [0.2] * 40)
@@ -231,6 +239,33 @@ def test_no_worker_is_left(cluster, monkeypatch):
         assert wait_until(lambda: crew.count == 0)
         with pytest.raises(UserError, match="all workers are gone and none came back"):
             crew.gather(crew.submit(tasks.wait, [0.0]))
+
+
+def test_all_workers_are_paused(cluster, monkeypatch):
+    monkeypatch.setattr("slepian_prt.distributed.inflow.GLANCE", 0.02)
+    monkeypatch.setattr(roster, "_PATIENCE", {False: 0.05})
+    with open_crew(client=cluster) as crew:
+        (worker,) = cluster.workers.values()
+        cluster.sync(pause, worker)
+        assert wait_until(lambda: crew.count == 0)
+        with pytest.raises(UserError, match="all workers are paused by Dask, at the limit of their memory"):
+            crew.gather(crew.submit(tasks.wait, [0.0]))
+
+
+async def pause(worker) -> None:
+    worker.periodic_callbacks.clear()
+    worker.status = type(worker.status).paused
+
+
+def test_a_scheduler_that_gives_tasks_up_early_is_asked_again(cluster):
+    """Dask's own give a task up that four workers died at, though they were at others."""
+    cluster.scale(2)
+    cluster.scheduler.allowed_failures = 0
+    with open_crew(client=cluster) as crew:
+        assert wait_until(lambda: crew.count == 2)
+        futures = crew.submit(tasks.wait, [0.05] * 20)
+        cluster.sync(cluster.scheduler.remove_worker, crew._addresses()[0], stimulus_id="a-death")
+        assert crew.gather(futures) == [0.05] * 20
 
 
 def test_time_in_which_nobody_looked_does_not_count(cluster, monkeypatch):
