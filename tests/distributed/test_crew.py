@@ -271,6 +271,24 @@ def test_a_scheduler_that_gives_tasks_up_early_is_asked_again(cluster):
         assert crew.gather(futures) == [0.05] * 20
 
 
+def test_results_that_are_lost_when_they_are_fetched_are_asked_for_again(cluster, monkeypatch):
+    """Their worker dies, they are done again, and the worker that does it finds no shared value at first."""
+    with open_crew(client=cluster) as crew:
+        shared = crew.share(Table(3))
+        gather, lost = crew.client.gather, [held.NotHeldError(shared.name)]
+
+        def gather_late(futures, **how):
+            return fail(lost.pop()) if lost else gather(futures, **how)
+
+        monkeypatch.setattr(crew.client, "gather", gather_late)
+        assert crew.gather(crew.submit(tasks.look_up, [0, 0], shared)) == [(3, os.getpid())] * 2
+        assert not lost
+
+
+async def fail(error: Exception) -> None:
+    raise error
+
+
 def test_time_in_which_nobody_looked_does_not_count(cluster, monkeypatch):
     with open_crew(client=cluster) as crew:
         cluster.scale(0)
