@@ -33,6 +33,10 @@ _FOR_CHILDREN = ("DASK_LOGGING__DISTRIBUTED", "PYTHONWARNINGS", "PYTHONHASHSEED"
 # How long Dask tries to reach a worker on this machine, which may just have died; it would try for half a minute.
 _CONNECT = "10s"
 
+# After this time Dask looks whether a worker that died is back, and if it has just died again gives it up for good: two
+# workers that were killed at random every few seconds were gone after a minute.
+_LOST = "100 days"
+
 # How often workers may die is decided by whether the work gets on, see `Crew.results`.
 _ANY_NUMBER = 10**9
 
@@ -52,7 +56,11 @@ def local_cluster(workers: int, security: Any = None) -> Iterator[LocalCluster]:
     with kept_environment(changed), contextlib.ExitStack() as stack:
         folder = tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-")
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        settings = {"distributed.comm.timeouts.connect": _CONNECT, "temporary-directory": folder}
+        settings = {
+            "distributed.comm.timeouts.connect": _CONNECT,
+            "distributed.deploy.lost-worker-timeout": _LOST,
+            "temporary-directory": folder,
+        }
         stack.enter_context(dask.config.set(settings))
         # Of the children, from their first moment; the last of them counts semaphores when we are killed.
         os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"
