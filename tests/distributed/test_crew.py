@@ -47,17 +47,20 @@ def test_functions_get_the_opened_value_and_an_item(crew: Crew):
 
 
 def test_another_value_closes_the_last_one_and_release_the_other(crew: Crew):
-    before = {each["process"]: each for each in crew.gather(crew.submit(tasks.opened, range(6)))}
+    def told() -> dict[int, tuple[int, int]]:
+        """How many were opened and closed, of each process."""
+        every = crew.gather(crew.submit(tasks.opened, range(6)))
+        return {each["process"]: (each["opened"], each["closed"]) for each in every}
+
+    before = told()
     both = [crew.share(Table(1)), crew.share(Table(2))]
     for shared in both:
         crew.gather(crew.submit(tasks.wait, [0.05] * 4, shared))
+    assert len(before) == 2
+    assert told() == {process: (opened + 2, closed + 1) for process, (opened, closed) in before.items()}
     for shared in both:
         crew.release(shared)
-    after = {each["process"]: each for each in crew.gather(crew.submit(tasks.opened, range(6)))}
-    assert after.keys() == before.keys()
-    assert len(after) == 2
-    for process, each in after.items():
-        assert each["opened"] - before[process]["opened"] == each["closed"] - before[process]["closed"] == 2
+    assert told() == {process: (opened + 2, closed + 2) for process, (opened, closed) in before.items()}
 
 
 def test_one_value_is_brought_once(crew: Crew):
@@ -266,6 +269,24 @@ def test_a_scheduler_that_gives_tasks_up_early_is_asked_again(cluster):
         futures = crew.submit(tasks.wait, [0.05] * 20)
         cluster.sync(cluster.scheduler.remove_worker, crew._addresses()[0], stimulus_id="a-death")
         assert crew.gather(futures) == [0.05] * 20
+
+
+def test_results_that_are_lost_when_they_are_fetched_are_asked_for_again(cluster, monkeypatch):
+    """Their worker dies, they are done again, and the worker that does it finds no shared value at first."""
+    with open_crew(client=cluster) as crew:
+        shared = crew.share(Table(3))
+        gather, lost = crew.client.gather, [held.NotHeldError(shared.name)]
+
+        def gather_late(futures, **how):
+            return fail(lost.pop()) if lost else gather(futures, **how)
+
+        monkeypatch.setattr(crew.client, "gather", gather_late)
+        assert crew.gather(crew.submit(tasks.look_up, [0, 0], shared)) == [(3, os.getpid())] * 2
+        assert not lost
+
+
+async def fail(error: Exception) -> None:
+    raise error
 
 
 def test_time_in_which_nobody_looked_does_not_count(cluster, monkeypatch):
