@@ -6,7 +6,6 @@ and textures: workers must see the same folder. What they load there is compared
 
 from __future__ import annotations
 
-import hashlib
 import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,6 +30,9 @@ from slepian_prt.transport.survey import SurveyedScene
 if TYPE_CHECKING:
     from slepian_prt.scene.loading import SceneSource
 
+# Relative difference of geometry that is rounding.
+_ALIKE = 1e-5
+
 
 @dataclass(frozen=True, eq=False)
 class PortableScene:
@@ -47,8 +49,11 @@ class PortableScene:
     pierced : (n, 2)
         As of `Scene`.
     lamps_wanted : bool
-    digest : bytes
-        Of the geometry; empty where it travels itself.
+    normals : (V, 3) or None
+        Of the receivers; None where they travel themselves. Mitsuba adds those of faces up in any order, and rays
+        must be turned alike everywhere.
+    outline : Outline or None
+        Of the geometry that is loaded there.
     """
 
     source: Mesh | str | dict[str, Any]
@@ -58,7 +63,8 @@ class PortableScene:
     ray_origins: RayOrigins
     pierced: NDArray[np.integer]
     lamps_wanted: bool
-    digest: bytes
+    normals: NDArray[np.float64] | None
+    outline: Outline | None
 
     @contextmanager
     def open(self) -> Iterator[PlannedScene]:
@@ -74,12 +80,13 @@ class PortableScene:
             {} if is_mesh else {"parameters": self.settings.parameters, "view": self.settings.view}
         )
         with open_scene(self.source, **options) as loaded:
-            if self.digest and digest_geometry(loaded) != self.digest:
+            if self.outline is not None and not self.outline.agrees(outline_of(loaded)):
                 raise UserError(
                     f"{loaded.path}: is not the same on all machines; put the scene and its files into a folder that "
                     "all of them share"
                 )
-            scene = replace(loaded, robust=self.robust)
+            mesh = loaded.mesh if self.normals is None else replace(loaded.mesh, normals=self.normals)
+            scene = replace(loaded, robust=self.robust, mesh=mesh)
             # These took most of the time of the plan.
             vars(scene).update(ray_origins=self.ray_origins, pierced=self.pierced)
             lamps = replace(find_lamps(scene, self.settings.seed), wanted=self.lamps_wanted)
@@ -100,18 +107,19 @@ def make_portable(planned: PlannedScene, source: SceneSource) -> PortableScene:
     UserError
         A scene that is in memory as objects of Mitsuba.
     """
-    scene, digest = planned.survey.scene, b""
+    scene = planned.survey.scene
     sent: Mesh | str | dict[str, Any]
     if scene.loaded is None and not scene.occluders:
         sent = replace(scene.mesh)  # without what it has worked out of itself
     elif isinstance(source, str | Path):
-        sent, digest = str(Path(source).resolve()), digest_geometry(scene)
+        sent = str(Path(source).resolve())
     elif isinstance(source, dict) and can_be_pickled(source):
-        sent, digest = source, digest_geometry(scene)
+        sent = source
     else:
         raise UserError(
             f"{scene.path}: objects of Mitsuba cannot be sent to workers; give the path of an .xml scene, or a dict"
         )
+    is_mesh = isinstance(sent, Mesh)
     return PortableScene(
         sent,
         planned.settings,
@@ -120,16 +128,42 @@ def make_portable(planned: PlannedScene, source: SceneSource) -> PortableScene:
         scene.ray_origins,
         scene.pierced,
         planned.lamps.wanted,
-        digest,
+        None if is_mesh else scene.mesh.normals,
+        None if is_mesh else outline_of(scene),
     )
 
 
-def digest_geometry(scene: Scene) -> bytes:
+@dataclass(frozen=True)
+class Outline:
+    """What tells the geometry of a scene from another's, but for rounding.
+
+    Attributes
+    ----------
+    shapes : tuple of tuple of int
+        Of some arrays.
+    norms, sums : tuple of float
+        Of each its norm, and a sum in which every number has a weight of its own.
+    """
+
+    shapes: tuple[tuple[int, ...], ...]
+    norms: tuple[float, ...]
+    sums: tuple[float, ...]
+
+    def agrees(self, other: Outline) -> bool:
+        """Whether both may be the same scene."""
+        if self.shapes != other.shapes:
+            return False
+        tolerances = (_ALIKE * norm for norm in self.norms)
+        return all(abs(a - b) <= most for a, b, most in zip(self.sums, other.sums, tolerances, strict=True))
+
+
+def outline_of(scene: Scene) -> Outline:
     """Of receivers and of the boxes of all shapes."""
-    digest, mesh = hashlib.sha256(), scene.mesh
-    for array in (mesh.positions, mesh.normals, mesh.faces, mesh.albedo, *scene.traced_bounds):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.digest()
+    mesh = scene.mesh
+    arrays: list[NDArray[Any]] = [mesh.positions, mesh.normals, mesh.faces, mesh.albedo, *scene.traced_bounds]
+    flat = [np.ravel(array).astype(np.float64) for array in arrays]
+    sums = tuple(float(values @ np.cos(np.arange(values.size))) for values in flat)
+    return Outline(tuple(array.shape for array in arrays), tuple(float(np.linalg.norm(v)) for v in flat), sums)
 
 
 def can_be_pickled(source: dict[str, Any]) -> bool:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from slepian_prt.distributed.crew import Crew, Shared
 
-# Most columns of a task.
-_MOST_COLUMNS = 64
+# Most columns of a task, and tasks for each worker, so that all end about together.
+_MOST_COLUMNS, _TASKS = 64, 4
 
 
 class Rows(NamedTuple):
@@ -192,7 +192,7 @@ class RemoteBounces:
             light = np.stack([direct + source(channel, slice(None)) for channel in range(channels)], axis=1)
         reflectance = np.stack([reflectance_of(albedo, channels, channel) for channel in range(channels)])
         total = np.empty((len(direct), channels, direct.shape[1]), dtype=np.float32)
-        tasks = 2 * max(1, self.crew.count)
+        tasks = _TASKS * max(1, self.crew.count)
         width = min(_MOST_COLUMNS, max(1, -(-channels * direct.shape[1] // tasks)))
         pieces = list(product(range(channels), cut_columns(direct.shape[1], width)))
         self._follow(Start(reflectance, light), pieces, bounces, total)
