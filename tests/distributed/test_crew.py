@@ -148,6 +148,13 @@ def test_all_workers_die_at_once_and_others_get_the_value_again(crew: Crew):
     crew.release(squares)
 
 
+def test_workers_that_die_twice_are_started_again(crew: Crew):
+    """Dask looks 15 s after a death whether the worker is there, and gives one up that has just died again."""
+    import dask
+
+    assert dask.utils.parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout")) > 24 * 3600
+
+
 @pytest.mark.slow
 def test_workers_that_always_die_are_given_up(crew: Crew, monkeypatch):
     monkeypatch.setattr(roster, "_FEWEST_DEATHS", 1)
