@@ -59,13 +59,13 @@ def given_client(client: Any, security: Any = None) -> Iterator[Client]:
     dask = dask_distributed()
     if isinstance(client, dask.Client):
         if client.asynchronous:
-            raise UserError("`client` is asynchronous; give one that was made with asynchronous=False")
+            raise UserError("client is asynchronous; give one that was made with asynchronous=False")
         if client.status != "running":
-            raise UserError(f"`client` is {client.status}; give one that is connected")
+            raise UserError(f"client is {client.status}; give one that is connected")
         yield client
         return
     if not isinstance(client, str) and not hasattr(client, "scheduler_address"):
-        raise UserError(f"`client` must be a Dask client, a cluster or the address of a scheduler, not {client!r}")
+        raise UserError(f"client must be a Dask client, a cluster or the address of a scheduler, not {client!r}")
     address = client if isinstance(client, str) else client.scheduler_address
     with quiet():
         own = _connect(dask, client, str(address), security)

@@ -66,7 +66,7 @@ def open_crew(
     if len(given) != 1:
         named = " and ".join(f"`{name}`" for name in given)
         raise UserError(
-            f"{f'{named} are' if given else 'nothing is'} given; give one of `workers`, `client`, `scheduler` and "
+            f"{f'{named} are' if given else 'nothing is'} given; give one of client, `workers`, `scheduler` and "
             "`scheduler_file`"
         )
     from slepian_prt.renderer.variants import usable_variant

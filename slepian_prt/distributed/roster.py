@@ -121,7 +121,7 @@ class Roster:
         self._alone = 0.0 if any(worker["status"] == "running" for worker in able) else self._alone + seen
         if self._alone > _PATIENCE[self._is_ours]:
             if able:
-                raise UserError("all workers are paused by Dask, at the limit of their memory; start them with a higher one")
+                raise UserError("all workers are paused by Dask, at the limit of their memory; start them with more")
             raise UserError("all workers are gone and none came back; start others and the command again")
 
     def check_scheduler_is_there(self) -> None:

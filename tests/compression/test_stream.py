@@ -319,5 +319,5 @@ def test_one_call_is_what_the_command_does(tmp_path):
     assert_exact(packed.reconstruct(), same.reconstruct(), because="the same calls on the same machine")
     with pytest.raises(UserError, match="'toleranz' is no setting of precompute or compress"):
         sp.precompute_compressed(mesh, toleranz=0.1)
-    with pytest.raises(UserError, match="`client` must be a Dask client, a cluster or the address of a scheduler"):
+    with pytest.raises(UserError, match="client must be a Dask client, a cluster or the address of a scheduler"):
         sp.precompute_compressed(mesh, client=3)

@@ -82,7 +82,7 @@ def test_what_is_no_client(cluster):
 
     with distributed.Client(cluster) as client:
         pass
-    with pytest.raises(UserError, match="`client` is closed; give one that is connected"), open_crew(client=client):
+    with pytest.raises(UserError, match="client is closed; give one that is connected"), open_crew(client=client):
         pass
     words = "must be a Dask client, a cluster or the address of a scheduler, not 3"
     with pytest.raises(UserError, match=words), open_crew(client=3):
