@@ -140,7 +140,8 @@ def test_setup_commands_exist():
     """Blocks of shell that are not run name scripts that are there."""
     for page in PAGES:
         for language, text, line in blocks(page):
-            assert language in ("python", "console", "sh", "text", "json", "xml", "glsl"), f"{page}:{line}: {language}"
+            known = ("python", "console", "sh", "text", "json", "xml", "glsl", "yaml")
+            assert language in known, f"{page}:{line}: {language}"
             for script in re.findall(r"scripts/(\w+)", text):
                 assert (ROOT / "scripts" / script).is_file(), f"{page}:{line}: scripts/{script}"
 

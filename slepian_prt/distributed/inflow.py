@@ -81,10 +81,16 @@ class Inflow:
         numbers, results = arrived
         self._fetches -= 1
         self._coming -= len(numbers)
+        from dask.sizeof import sizeof
+        from distributed import CancelledError, KilledWorker
+
+        if isinstance(results, NotHeldError | KilledWorker | CancelledError):
+            # Workers died that had them, and something stands against doing them again: what, is seen at each.
+            for number in numbers:
+                self._arrived.put(number)
+            return []
         if isinstance(results, BaseException):
             raise results
-        from dask.sizeof import sizeof
-
         self._room = max(1, min(_MOST, _BYTES // max(map(sizeof, results))))
         return list(zip(numbers, results, strict=True))
 

@@ -9,9 +9,11 @@ import os
 import shutil
 import signal
 import tempfile
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +33,10 @@ _FOR_CHILDREN = ("DASK_LOGGING__DISTRIBUTED", "PYTHONWARNINGS", "PYTHONHASHSEED"
 # How long Dask tries to reach a worker on this machine, which may just have died; it would try for half a minute.
 _CONNECT = "10s"
 
+# After this time Dask looks whether a worker that died is back, and if it has just died again gives it up for good: two
+# workers that were killed at random every few seconds were gone after a minute.
+_LOST = "100 days"
+
 # How often workers may die is decided by whether the work gets on, see `Crew.results`.
 _ANY_NUMBER = 10**9
 
@@ -46,11 +52,16 @@ def local_cluster(workers: int, security: Any = None) -> Iterator[LocalCluster]:
     from distributed import LocalCluster
 
     _forget_stale()
-    settings = dask.config.set({"distributed.comm.timeouts.connect": _CONNECT})
     changed = [*dask.config.get("distributed.nanny.pre-spawn-environ"), *_FOR_CHILDREN]
-    with kept_environment(changed), settings, contextlib.ExitStack() as stack:
+    with kept_environment(changed), contextlib.ExitStack() as stack:
         folder = tempfile.mkdtemp(prefix=f"{_FOLDER}{os.getpid()}-")
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        settings = {
+            "distributed.comm.timeouts.connect": _CONNECT,
+            "distributed.deploy.lost-worker-timeout": _LOST,
+            "temporary-directory": folder,
+        }
+        stack.enter_context(dask.config.set(settings))
         # Of the children, from their first moment; the last of them counts semaphores when we are killed.
         os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"
         ignored = "ignore::UserWarning:multiprocessing.resource_tracker"
@@ -69,12 +80,9 @@ def local_cluster(workers: int, security: Any = None) -> Iterator[LocalCluster]:
                 security=security,
                 scheduler_kwargs={"allowed_failures": _ANY_NUMBER},
             )
-        stack.callback(cluster.close)
-        try:
-            yield cluster
-        except BaseException:
-            _kill(cluster)
-            raise
+            stack.callback(cluster.close)
+            stack.push(lambda fault, *_: _kill(cluster) if fault else None)
+        yield cluster
 
 
 def has_dashboard() -> bool:
@@ -94,19 +102,24 @@ def _kill(cluster: LocalCluster) -> None:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C waits until the block has ended.
+    """Ctrl-C waits until the block has ended, and processes that begin in it, or later from its threads, hear of none.
 
-    Threads and processes that begin in it never hear of one: a terminal interrupts all processes of a command, and
-    it is ours to end those of the cluster.
+    A terminal interrupts all processes of a command, and it is ours to end those of the cluster.
     """
-    if not hasattr(signal, "pthread_sigmask"):
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    resource_tracker.ensure_running()  # which would undo the mask of the thread that starts it
+    came: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # threads and their children inherit it
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+    if came:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _forget_stale() -> None:

@@ -25,6 +25,18 @@ class Table:
         OPENED["closed"] += 1
 
 
+class ThreadsToLoad:
+    """A value that is opened to how many threads Mitsuba has meanwhile."""
+
+    @contextlib.contextmanager
+    def open(self) -> Iterator[int]:
+        yield threads(None, 0)
+
+
+def same(value: int, _: object) -> int:
+    return value
+
+
 def look_up(numbers: tuple[int, ...], item: int) -> tuple[int, int]:
     """The number, and the process that found it."""
     return numbers[item], os.getpid()

@@ -47,17 +47,20 @@ def test_functions_get_the_opened_value_and_an_item(crew: Crew):
 
 
 def test_another_value_closes_the_last_one_and_release_the_other(crew: Crew):
-    before = {each["process"]: each for each in crew.gather(crew.submit(tasks.opened, range(6)))}
+    def told() -> dict[int, tuple[int, int]]:
+        """How many were opened and closed, of each process."""
+        every = crew.gather(crew.submit(tasks.opened, range(6)))
+        return {each["process"]: (each["opened"], each["closed"]) for each in every}
+
+    before = told()
     both = [crew.share(Table(1)), crew.share(Table(2))]
     for shared in both:
         crew.gather(crew.submit(tasks.wait, [0.05] * 4, shared))
+    assert len(before) == 2
+    assert told() == {process: (opened + 2, closed + 1) for process, (opened, closed) in before.items()}
     for shared in both:
         crew.release(shared)
-    after = {each["process"]: each for each in crew.gather(crew.submit(tasks.opened, range(6)))}
-    assert after.keys() == before.keys()
-    assert len(after) == 2
-    for process, each in after.items():
-        assert each["opened"] - before[process]["opened"] == each["closed"] - before[process]["closed"] == 2
+    assert told() == {process: (opened + 2, closed + 2) for process, (opened, closed) in before.items()}
 
 
 def test_one_value_is_brought_once(crew: Crew):
@@ -91,6 +94,14 @@ def test_results_may_be_waited_for_while_others_are(crew: Crew):
 
 def test_each_worker_of_a_machine_has_its_share_of_the_cores(crew: Crew):
     assert set(crew.gather(crew.submit(tasks.threads, range(4)))) == SHARE
+
+
+def test_values_are_opened_by_two_threads_at_least(crew: Crew):
+    """Mitsuba waits for ever when it reads an .exr with a single one."""
+    shared = crew.share(tasks.ThreadsToLoad())
+    assert set(crew.gather(crew.submit(tasks.same, range(4), shared))) == {max(2, *SHARE)}
+    assert set(crew.gather(crew.submit(tasks.threads, range(4)))) == SHARE
+    crew.release(shared)
 
 
 @pytest.mark.parametrize(("item", "kind", "words"), [(1, UserError, "item 1 is none"), (2, ZeroDivisionError, "of a")])
@@ -135,6 +146,13 @@ def test_all_workers_die_at_once_and_others_get_the_value_again(crew: Crew):
     assert [number for number, _ in crew.gather(futures)] == [number**2 for number in range(20)]
     assert wait_until(lambda: crew.count == 2)
     crew.release(squares)
+
+
+def test_workers_that_die_twice_are_started_again(crew: Crew):
+    """Dask looks 15 s after a death whether the worker is there, and gives one up that has just died again."""
+    import dask
+
+    assert dask.utils.parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout")) > 24 * 3600
 
 
 @pytest.mark.slow
@@ -231,6 +249,51 @@ def test_no_worker_is_left(cluster, monkeypatch):
         assert wait_until(lambda: crew.count == 0)
         with pytest.raises(UserError, match="all workers are gone and none came back"):
             crew.gather(crew.submit(tasks.wait, [0.0]))
+
+
+def test_all_workers_are_paused(cluster, monkeypatch):
+    monkeypatch.setattr("slepian_prt.distributed.inflow.GLANCE", 0.02)
+    monkeypatch.setattr(roster, "_PATIENCE", {False: 0.05})
+    with open_crew(client=cluster) as crew:
+        (worker,) = cluster.workers.values()
+        cluster.sync(pause, worker)
+        assert wait_until(lambda: crew.count == 0)
+        with pytest.raises(UserError, match="all workers are paused by Dask, at the limit of their memory"):
+            crew.gather(crew.submit(tasks.wait, [0.0]))
+
+
+async def pause(worker) -> None:
+    worker.periodic_callbacks.clear()
+    worker.status = type(worker.status).paused
+
+
+def test_a_scheduler_that_gives_tasks_up_early_is_asked_again(cluster):
+    """Dask's own give a task up that four workers died at, though they were at others."""
+    cluster.scale(2)
+    cluster.scheduler.allowed_failures = 0
+    with open_crew(client=cluster) as crew:
+        assert wait_until(lambda: crew.count == 2)
+        futures = crew.submit(tasks.wait, [0.05] * 20)
+        cluster.sync(cluster.scheduler.remove_worker, crew._addresses()[0], stimulus_id="a-death")
+        assert crew.gather(futures) == [0.05] * 20
+
+
+def test_results_that_are_lost_when_they_are_fetched_are_asked_for_again(cluster, monkeypatch):
+    """Their worker dies, they are done again, and the worker that does it finds no shared value at first."""
+    with open_crew(client=cluster) as crew:
+        shared = crew.share(Table(3))
+        gather, lost = crew.client.gather, [held.NotHeldError(shared.name)]
+
+        def gather_late(futures, **how):
+            return fail(lost.pop()) if lost else gather(futures, **how)
+
+        monkeypatch.setattr(crew.client, "gather", gather_late)
+        assert crew.gather(crew.submit(tasks.look_up, [0, 0], shared)) == [(3, os.getpid())] * 2
+        assert not lost
+
+
+async def fail(error: Exception) -> None:
+    raise error
 
 
 def test_time_in_which_nobody_looked_does_not_count(cluster, monkeypatch):

@@ -30,7 +30,7 @@ def test_workers_of_kubernetes_have_one_thread_of_dask():
 
 
 def test_jobs_of_slurm_start_workers_with_one_thread_of_dask():
-    (code,) = shown("py")
+    (code,) = (block for block in shown("text") if "SLURMCluster" in block)
     tree = ast.parse(code)
     (call,) = [
         node

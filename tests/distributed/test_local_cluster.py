@@ -17,35 +17,51 @@ from slepian_prt.distributed.quiet import kept_environment
 from tests.distributed.test_crew import wait_until
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_workers_end_at_once_with_the_command(how, tmp_path):
-    """A terminal sends an interrupt to all processes of a command, the others come to one."""
-    command = subprocess.Popen(
+def begin_long_work(folder: Path) -> subprocess.Popen[str]:
+    """In a session of its own, and with a folder for temporary files."""
+    return subprocess.Popen(
         [sys.executable, "-m", "tests.distributed.long_work"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        env={**os.environ, "TMPDIR": str(tmp_path)},
+        env={**os.environ, "TMPDIR": str(folder)},
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_workers_end_at_once_with_the_command(how, tmp_path):
+    """A terminal sends an interrupt to all processes of a command, the others come to one."""
+    command = begin_long_work(tmp_path)
     assert command.stdout is not None
     workers = [int(word) for word in command.stdout.readline().split()]
     assert len(workers) == 2
-    assert len(list(tmp_path.glob("slepian-prt-workers-*"))) == 1
+    assert [path.name[:20] for path in tmp_path.iterdir()] == ["slepian-prt-workers-"]
     if how == signal.SIGINT:
         os.killpg(command.pid, how)
     else:
         command.send_signal(how)
-    _, heard = command.communicate(timeout=10)
+    _, heard = command.communicate(timeout=4)  # closed in peace, workers are waited for longer
     assert command.returncode == -how
     assert wait_until(lambda: not any(psutil.pid_exists(process) for process in workers), 5.0)
     if how == signal.SIGINT:
         assert heard.splitlines()[-1] == "KeyboardInterrupt"
         assert heard.count("Traceback") == 1
-        assert not list(tmp_path.glob("slepian-prt-workers-*"))
+        assert not list(tmp_path.iterdir())
     else:
         assert heard == ""
+
+
+@pytest.mark.slow
+def test_an_interrupt_while_workers_start_is_heard_of_once(tmp_path):
+    command = begin_long_work(tmp_path)
+    assert wait_until(lambda: any(tmp_path.iterdir()))
+    os.killpg(command.pid, signal.SIGINT)
+    _, heard = command.communicate(timeout=20)
+    assert command.returncode == -signal.SIGINT
+    assert heard.count("Traceback") == heard.count("KeyboardInterrupt") == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_folders_of_processes_that_were_killed_are_removed(tmp_path, monkeypatch):
