@@ -5,13 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 
+from slepian_prt.cli import main
 from slepian_prt.cli.options import crew_options
 from slepian_prt.cli.workers import crew_of
 from slepian_prt.errors import UserError
 from tests.distributed import tasks
 from tests.distributed.conftest import threaded_cluster
+
+SCENE = """<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">
+<lookat origin="0, -4, 2" target="0, 0, .5" up="0, 0, 1"/></transform><film type="hdrfilm">
+<integer name="width" value="32"/><integer name="height" value="24"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="1.5"/></transform></shape>
+<shape type="sphere"><point name="center" x="0" y="0" z=".5"/><float name="radius" value=".4"/></shape></scene>"""
 
 
 @click.command()
@@ -52,3 +60,25 @@ def test_each_mistake_gets_its_line(capsys, arguments, words):
     with pytest.raises(UserError, match=words) as raised:
         run(capsys, *arguments)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.slow
+def test_commands_by_the_workers_of_a_scheduler(crew, tmp_path, capsys, monkeypatch):
+    """capture, sweep and compare, small, by workers that are there."""
+    monkeypatch.setenv("SLEPIAN_PRT_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "scene.xml").write_text(SCENE)
+    sky, address = tmp_path / "sky.pfm", crew.client.scheduler.address
+    write_pfm(sky, np.linspace(0.5, 1.5, 16 * 32 * 3, dtype=np.float32).reshape(16, 32, 3))
+    small = ["--samples", "16", "--bandlimit", "2", "--scheduler", address]
+    light = ["--environment", str(sky), "--noise", "0.1"]
+    scene, out = str(tmp_path / "scene.xml"), str(tmp_path / "out")
+    assert main(["capture", scene, "-o", str(tmp_path / "picture.prt"), *small]) == 0
+    assert "16 paths of each" in capsys.readouterr().out
+    assert main(["sweep", scene, "-o", out, *small, *light, "--clusters", "4", "--tolerance", "0.2"]) == 0
+    assert capsys.readouterr().out.strip().endswith("sweep.html: 1 settings")
+    assert main(["compare", scene, "-o", out, *small, *light, "--basis", "sh", "--width", "32"]) == 0
+    assert "methods, 1 environment" in capsys.readouterr().out
+
+
+def write_pfm(path, texels):
+    path.write_bytes(b"PF\n%d %d\n-1.0\n" % (texels.shape[1], texels.shape[0]) + texels[::-1].tobytes())

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import slepian_prt as sp
+from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.compression.stream import precompute_compressed
 from slepian_prt.transport.by_workers import exchange
 from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.planned import plan_scene
@@ -112,3 +114,10 @@ def test_rays_are_counted(crew):
         for own, other in zip(*blocks, strict=True):
             assert_exact(other, own, "the same pieces, in the same order")
         assert two.rays == one.rays > 0
+
+
+def test_compression_of_what_is_exchanged(crew):
+    wanted = CompressionSettings(tolerance=0.05, clusters=8), TransportSettings(4, 64, albedo=0.8, effects="all")
+    here, there = (precompute_compressed(bumpy(3), *wanted, crew=who) for who in (None, crew))
+    assert here.bounces == there.bounces > 0
+    assert_exact(there.reconstruct(), here.reconstruct(), SAME)
