@@ -97,8 +97,7 @@ def precompute(
 
         kept_order = sys.maxsize if keep_order else KEPT_ORDER
         asked = ScanSettings(formats or ("prt",), transport, settings, goal, light, kept_order, given.get("samples"))
-        with crew_of(options) as crew:
-            return precompute_scans(scenes, listed, output, asked, as_json=as_json, crew=crew)
+        return precompute_scans(scenes, listed, output, asked, as_json=as_json, options=options)
     with crew_of(options) as crew:
         if goal is None or light is None:
             _precompute(scenes[0], output, settings, transport, crew, keep_order=keep_order)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,11 +16,11 @@ from slepian_prt.cli.commands import with_flags
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import together
 from slepian_prt.cli.terminal import progress
+from slepian_prt.cli.workers import crew_of
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
     from slepian_prt.datasets.jobs import ScanResult, ScanSettings
-    from slepian_prt.distributed.crew import Crew
 
 set_options = together(
     click.option(
@@ -60,9 +60,9 @@ def precompute_scans(
     settings: ScanSettings,
     *,
     as_json: bool,
-    crew: Crew | None,
+    options: Mapping[str, Any],
 ) -> int:
-    """Tell of each scene when it is done, and at the end of those that failed; 1 if there are any."""
+    """Do scenes, here or as `crew_options` say; tell of each, and at the end of those that failed; 1 if there are any."""
     from slepian_prt.datasets.by_workers import mapped_by
     from slepian_prt.datasets.naming import read_list
     from slepian_prt.datasets.precompute_set import run_set
@@ -73,21 +73,21 @@ def precompute_scans(
     if not wanted:
         raise UserError("no SCENE is given; name some, or a list of them by --from")
     count = len(dict.fromkeys(wanted))
-    with progress("scenes", "scenes") as (advance, _), _without_remarks():
+    try:
+        with crew_of(options) as crew, progress("scenes", "scenes") as (advance, _), _without_remarks():
 
-        def tell(result: ScanResult) -> None:
-            if as_json:
-                click.echo(result.as_line())
-            elif not result.kept:
-                _tell(result)
-            advance(1, count)
+            def tell(result: ScanResult) -> None:
+                if as_json:
+                    click.echo(result.as_line())
+                elif not result.kept:
+                    _tell(result)
+                advance(1, count)
 
-        advance(0, count)
-        try:
+            advance(0, count)
             results = run_set(wanted, folder, settings, tell, map if crew is None else mapped_by(crew))
-        except KeyboardInterrupt:
-            click.echo(f"slepian-prt: interrupted; the same command goes on from what is in {folder}", err=True)
-            return 130
+    except KeyboardInterrupt:
+        click.echo(f"slepian-prt: interrupted; the same command goes on from what is in {folder}", err=True)
+        return 130
     failed = [result for result in results if result.failure is not None]
     kept = sum(result.kept for result in results)
     if not as_json:
@@ -101,12 +101,18 @@ def precompute_scans(
 @contextmanager
 def _without_remarks() -> Iterator[None]:
     """Remarks of the library are told with the scene that they are about."""
-    log = logging.getLogger("slepian_prt")
-    handlers, log.handlers = log.handlers, []
+    handlers = logging.getLogger("slepian_prt").handlers
+
+    def is_of_workers(record: logging.LogRecord) -> bool:
+        return record.name.startswith("slepian_prt.distributed")
+
+    for handler in handlers:
+        handler.addFilter(is_of_workers)
     try:
         yield
     finally:
-        log.handlers = handlers
+        for handler in handlers:
+            handler.removeFilter(is_of_workers)
 
 
 def _tell(result: ScanResult) -> None:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import mmap
 import os
 import struct
 import tempfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import IO, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,17 +96,19 @@ class MemoryStore:
 
 
 class Journal:
-    """Blocks in a folder, which is made by `journal`: each is a file, and mapped when it is read.
+    """Blocks in a folder, which is made by `journal`: each is a file.
 
     Parameters
     ----------
     folder : path
+    look : bool
+        Whether to look at once for what is there; else blocks are found when they are asked for.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, look: bool = True) -> None:
         self.folder = folder
-        self._blocks: dict[int, Block] = {}
-        for path in sorted(folder.glob(f"*{_SUFFIX}")):
+        self._counts: dict[int, int] = {}  # vertices of the blocks that were found to be whole
+        for path in sorted(folder.glob(f"*{_SUFFIX}")) if look else ():
             if path.stem.isdigit():
                 self.find(int(path.stem))
 
@@ -131,42 +132,63 @@ class Journal:
                 f"{self.folder}: cannot be written ({error.strerror or error}); free some space, or set "
                 "SLEPIAN_PRT_CACHE to a folder on another disk"
             ) from None
-        if self.find(number) is None:
-            raise UserError(f"{self.folder}: changed while it was used; start again")
+        self._counts[number] = block.vertices.size
 
     def find(self, number: int) -> Block | None:
         """A block, if it is here and whole; perhaps another process has made it."""
-        if number not in self._blocks:
-            found = _read(self._path(number), number)
-            if found is None:
-                return None
-            self._blocks[number] = found
-        return self._blocks[number]
+        found = _read(self._path(number), number)
+        if found is None:
+            self._counts.pop(number, None)
+        else:
+            self._counts[number] = found.vertices.size
+        return found
 
     def forget(self, number: int) -> None:
         """A block that is not what was expected."""
-        self._blocks.pop(number, None)
+        self._counts.pop(number, None)
         with contextlib.suppress(OSError):
             self._path(number).unlink()
 
     def __iter__(self) -> Iterator[tuple[int, Block]]:
-        yield from self._blocks.items()
+        for number in list(self._counts):
+            found = self.find(number)
+            if found is None:
+                raise self._changed()
+            yield number, found
 
     def part(self, number: int, vertices: slice, coefficients: slice) -> tuple[NDArray, NDArray]:
-        block = self._blocks[number]
-        return block.vertices[vertices], block.coefficients[coefficients]
+        after = _HEADER.size + 16 * self._counts[number]
+        try:
+            with self._path(number).open("rb") as file:
+                parts = (
+                    _slice(file, _HEADER.size, vertices, np.int32),
+                    _slice(file, after, coefficients, np.float32),
+                )
+        except (OSError, ValueError):
+            raise self._changed() from None
+        return parts
+
+    def _changed(self) -> UserError:
+        return UserError(f"{self.folder}: changed while it was used; start again")
 
     def _path(self, number: int) -> Path:
         return self.folder / f"{number:06}{_SUFFIX}"
 
 
+def _slice(file: IO[bytes], begin: int, part: slice, kind: type) -> NDArray:
+    """Some of the numbers of four bytes that begin there."""
+    file.seek(begin + 4 * part.start)
+    return np.frombuffer(file.read(4 * (part.stop - part.start)), dtype=kind, count=part.stop - part.start)
+
+
 def _read(path: Path, number: int) -> Block | None:
-    """The block of a file, mapped; None if it is not there, or not whole."""
+    """The block of a file; None if it is not there, or not whole."""
     try:
-        with path.open("rb") as file:
-            content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError):  # not there, or empty
+        content = path.read_bytes()
+    except FileNotFoundError:
         return None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
     if len(content) < _HEADER.size + _CHECKSUM.size:
         return None
     mark, own, count, size, rays = _HEADER.unpack_from(content)

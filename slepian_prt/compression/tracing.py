@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.attempts import LocalCoder
 from slepian_prt.compression.blocks import ProjectedCaps
@@ -197,5 +198,6 @@ def project_interior_of_piece(
         visible = np.unique(weights.indices)
         vectors = (weights[:, visible] @ source.estimate(visible).vectors[:, 0]).astype(np.float32)
         block = TransferBlock(vertices, vectors[:, None, :], np.ones(vertices.size, dtype=np.float32), 0)
-        blocks.append(projection.block(block))
+        with threadpool_limits(1, "blas"):  # as all other blocks
+            blocks.append(projection.block(block))
     return blocks

@@ -7,6 +7,7 @@ it has finished in a journal, so that others on its machine go on from there whe
 from __future__ import annotations
 
 import logging
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -83,12 +84,18 @@ class TracingJob:
 
 @contextmanager
 def _journal_here(folder: str) -> Iterator[Journal]:
-    """The client's journal where its disk is seen, else one that ends with the worker."""
-    if Path(folder).is_dir():
-        yield Journal(Path(folder))
+    """The client's journal where its disk is seen, else one that ends with the worker, in the folder of its own."""
+    if Path(folder).is_dir() and os.access(folder, os.W_OK | os.X_OK):
+        yield Journal(Path(folder), look=False)
         return
-    with tempfile.TemporaryDirectory(prefix="slepian_prt-") as own:
-        yield Journal(Path(own))
+    from distributed import get_worker
+
+    try:
+        place = get_worker().local_directory
+    except ValueError:  # not in a worker
+        place = None
+    with tempfile.TemporaryDirectory(prefix="slepian_prt-", dir=place) as own:
+        yield Journal(Path(own), look=False)
 
 
 class _OpenJob(NamedTuple):
@@ -148,15 +155,13 @@ def _trace_block(job: _OpenJob, number: int) -> Block:
     receivers = job.cut.blocks[number]
     kept = find_kept(job.store, number, receivers)
     if kept is None:
-        (block,) = job.source.blocks([receivers], job.projection.block)
-        job.store.add(number, block)
-        kept = job.store.find(number)
-    assert kept is not None
+        (kept,) = job.source.blocks([receivers], job.projection.block)
+        job.store.add(number, kept)
     return kept
 
 
 def _tell_of_block(_job: _OpenJob, block: Block) -> _BlockFacts:
-    return _BlockFacts(block.vertices.size, block.rays, dark_receivers(block).copy())
+    return _BlockFacts(block.vertices.size, block.rays, dark_receivers(block))
 
 
 def _assemble_piece(job: _OpenJob, item: tuple[int, list[Block], InteriorVertices]) -> PieceCoefficients:
@@ -194,9 +199,8 @@ def _coefficients_of(_job: _OpenJob, item: tuple[PieceCoefficients, int]) -> NDA
     return piece.parts[cap - piece.caps.start]
 
 
-def _tune(job: _OpenJob, item: tuple[list[PieceCoefficients], Sequence[int], float, float, bool | None]) -> Tuning:
-    pieces, caps, distortion, finest, principal_axes = item
-    samples = [_coefficients_of(job, (piece, c)) for piece, c in zip(pieces, caps, strict=True)]
+def _tune(job: _OpenJob, item: tuple[list[NDArray], Sequence[int], float, float, bool | None]) -> Tuning:
+    samples, caps, distortion, finest, principal_axes = item
     learned = job.projection.learned
     rows = surface_of(learned.receivers).rows([learned.clusters.members[c] for c in caps])
     return tune(samples, rows, distortion, finest, principal_axes)
@@ -338,8 +342,9 @@ class RemoteCaps:
         return np.asarray(self.crew.gather(found)[0])
 
     def tune(self, caps: Sequence[int], distortion: float, finest: float, principal_axes: bool | None) -> Tuning:
-        pieces = [self.pieces[self._piece_of[c]] for c in caps]
-        item = (pieces, list(caps), distortion, finest, principal_axes)
+        # The caps alone go to the worker that does it, not the pieces that they are in.
+        samples = self.crew.submit(_coefficients_of, [(self.pieces[self._piece_of[c]], c) for c in caps], self.job)
+        item = (samples, list(caps), distortion, finest, principal_axes)
         (tuning,) = self.crew.gather(self.crew.submit(_tune, [item], self.job))
         assert isinstance(tuning, Tuning)
         return tuning

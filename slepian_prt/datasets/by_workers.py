@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slepian_prt.datasets.jobs import ScanJob, ScanResult
+from slepian_prt.renderer.variants import chosen_variant, usable_variant
 
 if TYPE_CHECKING:
     from slepian_prt.distributed.crew import Crew
@@ -21,7 +22,8 @@ def mapped_by(crew: Crew) -> Callable[[Scan, Sequence[ScanJob]], Iterator[ScanRe
     def mapped(scan: Scan, jobs: Sequence[ScanJob]) -> Iterator[ScanResult]:
         # Workers may have been started in another folder.
         there = [replace(job, source=_absolute(job.source), folder=_absolute(job.folder)) for job in jobs]
-        for number, result in crew.results(crew.submit(_scan, [(scan, job) for job in there], key="scan")):
+        variant = usable_variant()
+        for number, result in crew.results(crew.submit(_scan, [(scan, job, variant) for job in there], key="scan")):
             yield replace(result, source=jobs[number].source)
 
     return mapped
@@ -31,6 +33,7 @@ def _absolute(path: str) -> str:
     return str(Path(path).absolute())
 
 
-def _scan(_nothing: None, item: tuple[Scan, ScanJob]) -> ScanResult:
-    scan, job = item
-    return scan(job)
+def _scan(_nothing: None, item: tuple[Scan, ScanJob, str]) -> ScanResult:
+    scan, job, variant = item
+    with chosen_variant(variant):
+        return scan(job)

@@ -24,6 +24,9 @@ from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, forget_partial
 from slepian_prt.transport.planned import Clock
 
+# Processes that may die of a scan, before it has failed.
+_MOST_STARTS = 3
+
 _TRAINING = {"pifu": pifu_files, "icon": icon_files}
 
 
@@ -72,7 +75,13 @@ def mark_of(job: ScanJob) -> Path:
 @contextmanager
 def _begun(job: ScanJob) -> Iterator[None]:
     mark = mark_of(job)
-    mark.touch()
+    starts = int(mark.read_text() or 1) if mark.is_file() else 0
+    if starts >= _MOST_STARTS:
+        mark.unlink()
+        raise UserError(
+            f"{job.source}: each of {starts} processes that did it was killed; it may need more memory than there is"
+        )
+    mark.write_text(str(starts + 1))
     try:
         yield
     finally:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.renderer.variants import chosen_variant
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.ray_origins import RayOrigins
@@ -49,6 +50,8 @@ class PortableScene:
     pierced : (n, 2)
         As of `Scene`.
     lamps_wanted : bool
+    variant : str
+        Of Mitsuba.
     normals : (V, 3) or None
         Of the receivers; None where they travel themselves. Mitsuba adds those of faces up in any order, and rays
         must be turned alike everywhere.
@@ -63,6 +66,7 @@ class PortableScene:
     ray_origins: RayOrigins
     pierced: NDArray[np.integer]
     lamps_wanted: bool
+    variant: str
     normals: NDArray[np.float64] | None
     outline: Outline | None
 
@@ -79,7 +83,7 @@ class PortableScene:
         options: dict[str, Any] = (
             {} if is_mesh else {"parameters": self.settings.parameters, "view": self.settings.view}
         )
-        with open_scene(self.source, **options) as loaded:
+        with chosen_variant(self.variant), open_scene(self.source, **options) as loaded:
             if self.outline is not None and not self.outline.agrees(outline_of(loaded)):
                 raise UserError(
                     f"{loaded.path}: is not the same on all machines; put the scene and its files into a folder that "
@@ -128,6 +132,7 @@ def make_portable(planned: PlannedScene, source: SceneSource) -> PortableScene:
         scene.ray_origins,
         scene.pierced,
         planned.lamps.wanted,
+        scene.mi.variant(),
         None if is_mesh else scene.mesh.normals,
         None if is_mesh else outline_of(scene),
     )

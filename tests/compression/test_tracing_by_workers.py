@@ -152,13 +152,15 @@ def test_coefficients_stay_with_the_workers():
     assert crew.fetched < 0.5 * coefficients
 
 
-def test_another_disk_than_the_clients(monkeypatch, tmp_path):
-    """A worker that does not see the client's journal keeps one of its own for as long as it works."""
-    monkeypatch.setattr(remote.Path, "is_dir", lambda _: False)
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    crew = Crew()
-    compress_scene(bumpy(4), CODED, JOB, crew=crew)
+def test_another_disk_than_the_clients(monkeypatch, tmp_path, cache):
+    """A worker that cannot write to the client's journal keeps one of its own for as long as it works."""
+    monkeypatch.setattr(remote.os, "access", lambda *_: False)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    kept, add = [], Journal.add
+    monkeypatch.setattr(Journal, "add", lambda journal, *block: (kept.append(journal.folder), add(journal, *block)))
+    compress_scene(bumpy(4), CODED, JOB, crew=Crew())
+    assert len(kept) > 4
+    assert all(folder.parent == tmp_path for folder in kept)
     assert not list(tmp_path.glob("slepian_prt-*"))
 
 

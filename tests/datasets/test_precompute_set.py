@@ -158,13 +158,16 @@ def test_what_kills_the_process_comes_last(scans, tmp_path):
     out = tmp_path / "out"
     code = (
         "import os, slepian_prt as sp, slepian_prt.datasets.scan as scan\n"
-        "traced = scan.precompute_compressed\n"
-        "scan.precompute_compressed = lambda path, *more: os._exit(9) if 'b.obj' in path else traced(path, *more)\n"
+        "traced = scan.compress_scene\n"
+        "scan.compress_scene = lambda path, *more: os._exit(9) if 'b.obj' in path else traced(path, *more)\n"
         f"sp.precompute_set({[str(scan) for scan in scans]!r}, {str(out)!r}, **{SMALL!r})"
     )
     for there in (["a"], ["a", "c"]):
         assert subprocess.run([sys.executable, "-c", code]).returncode == 9
         assert sorted(line["name"] for line in lines(out)) == there
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 9
+    failed = sp.precompute_set(scans, out, **SMALL)[1]  # after the third: so that workers do not die of it for ever
+    assert "b.obj: each of 3 processes that did it was killed" in failed.failure
     assert made(sp.precompute_set(scans, out, **SMALL)) == ["b"]
     assert sorted(path.name for path in out.iterdir()) == ["a.prt", "b.prt", "c.prt", NAME]
 

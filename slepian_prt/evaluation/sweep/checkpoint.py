@@ -25,12 +25,12 @@ class SweepCheckpoint:
     Parameters
     ----------
     path : path or None
-        CompressionSettings of anything else in that file are passed over.
+        Settings of anything else in that file are passed over.
     planned : PlannedScene
     environments : sequence of Environment
     noise : float
-    workers : int or None
-        That measure, whose seconds are others than those of one process.
+    by_workers : bool
+        Whether workers measure, whose seconds are others than those of one process.
 
     Attributes
     ----------
@@ -44,10 +44,10 @@ class SweepCheckpoint:
         planned: PlannedScene,
         environments: Sequence[Environment],
         noise: float,
-        workers: int | None = None,
+        by_workers: bool = False,
     ) -> None:
         self._path = path
-        self._key = _fingerprint(planned, environments, noise, workers)
+        self._key = _fingerprint(planned, environments, noise, by_workers)
         self.points: dict[Setting, Point] = {}
         if path is None or not path.is_file():
             return
@@ -76,11 +76,11 @@ class SweepCheckpoint:
             self._path.unlink(missing_ok=True)
 
 
-def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noise: float, workers: int | None) -> str:
+def _fingerprint(planned: PlannedScene, environments: Sequence[Environment], noise: float, by_workers: bool) -> str:
     """A digest of everything but the axes that a point depends on."""
     digest = hashlib.sha256()
     settings = replace(planned.settings, samples=1, bandlimit=0, bounces=None)
-    digest.update(repr((versions(), machine(), settings, noise, workers)).encode())
+    digest.update(repr((versions(), machine(), settings, noise, by_workers)).encode())
     mesh = planned.scene.mesh
     arrays = [mesh.positions, mesh.normals, mesh.faces, mesh.albedo]
     for shape in (*planned.scene.occluders, *instanced_shapes(planned.scene)):

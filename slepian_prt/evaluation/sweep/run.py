@@ -80,7 +80,7 @@ def sweep(
         by_workers(planned, crew, scene) as shared_out,
     ):
         environments = lights_of(planned.scene, environments)
-        kept = SweepCheckpoint(checkpoint, planned, environments, noise, None if crew is None else crew.count)
+        kept = SweepCheckpoint(checkpoint, planned, environments, noise, crew is not None)
         points = {setting: kept.points[setting] for setting in settings if setting in kept.points}
         if points:
             report(f"{len(points)} of {len(settings)} settings were measured before and are kept")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.lamps import Lamp
+from slepian_prt.renderer.variants import chosen_variant
 from slepian_prt.scene.loading import open_mitsuba
 from slepian_prt.transport.capturing.camera import CameraRays, find_camera
 from slepian_prt.transport.capturing.passes import Job, fingerprint, lamp_picture
@@ -44,16 +45,20 @@ class _CaptureJob:
     settings : CaptureSettings
     name : str
         Its `fingerprint`.
+    variant : str
+        Of Mitsuba.
     """
 
     source: str | dict[str, Any]
     settings: CaptureSettings
     name: str
+    variant: str
 
     @contextmanager
     def open(self) -> Iterator[Job]:
         """The job in a worker."""
-        with open_mitsuba(self.source, self.settings.parameters) as (mi, loaded, name):
+        opened = open_mitsuba(self.source, self.settings.parameters)
+        with chosen_variant(self.variant), opened as (mi, loaded, name):
             camera = find_camera(loaded.sensors(), self.settings.sensor, name)
             job = Job(mi, loaded, name, camera, CameraRays(mi, camera), self.settings)
             if fingerprint(job) != self.name:
@@ -126,7 +131,7 @@ def open_tracer(job: Job, crew: Crew, scene: SceneSource, name: str) -> Iterator
         raise UserError(
             f"{job.name}: objects of Mitsuba cannot be sent to workers; give the path of an .xml scene, or a dict"
         )
-    handle = crew.share(_CaptureJob(source, job.settings, name))
+    handle = crew.share(_CaptureJob(source, job.settings, name, job.mi.variant()))
     try:
         yield _TracerByWorkers(crew, handle)
     finally:

@@ -7,7 +7,7 @@ import pytest
 
 import slepian_prt as sp
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.compression.stream import precompute_compressed
+from slepian_prt.compression.stream import compress_scene
 from slepian_prt.transport.by_workers import exchange
 from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.planned import plan_scene
@@ -119,6 +119,6 @@ def test_rays_are_counted(crew):
 
 def test_compression_of_what_is_exchanged(crew):
     wanted = CompressionSettings(tolerance=0.05, clusters=8), TransportSettings(4, 64, albedo=0.8, effects="all")
-    here, there = (precompute_compressed(bumpy(3), *wanted, crew=who) for who in (None, crew))
+    here, there = (compress_scene(bumpy(3), *wanted, crew=who) for who in (None, crew))
     assert here.bounces == there.bounces > 0
     assert_exact(there.reconstruct(), here.reconstruct(), SAME)
