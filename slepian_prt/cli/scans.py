@@ -62,7 +62,7 @@ def precompute_scans(
     as_json: bool,
     options: Mapping[str, Any],
 ) -> int:
-    """Do scenes, here or as `crew_options` say; tell of each, and at the end of those that failed; 1 if there are any."""
+    """Do scenes, here or by workers; tell of each, and at the end of those that failed; 1 if there are any."""
     from slepian_prt.datasets.by_workers import mapped_by
     from slepian_prt.datasets.naming import read_list
     from slepian_prt.datasets.precompute_set import run_set
