@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -30,10 +31,15 @@ _values: dict[str, Any] = {}
 # The value that is open, if any: scenes are big, so that another one closes it.
 _open: dict[str, tuple[Any, contextlib.ExitStack]] = {}
 
+# Held by who uses the open value or closes it: a worker may have several threads of Dask, and a process several
+# workers, whose tasks are done one after the other: threads of Mitsuba are those of the process.
+_at_work = threading.Lock()
+
 
 def call(function: Callable[[Any, Any], Any], shared: Shared | None, item: Any) -> Any:
     """A task: the function, of the opened value and an item."""
-    return function(None if shared is None else _opened(shared.name), item)
+    with _at_work:
+        return function(None if shared is None else _opened(shared.name), item)
 
 
 def keep(name: str, dask_worker: Any = None) -> None:
@@ -43,10 +49,10 @@ def keep(name: str, dask_worker: Any = None) -> None:
 
 
 async def forget(prefix: str, dask_worker: Any = None) -> None:
-    """Give up the values whose names begin so; one that is open is closed in its thread, after what runs there."""
+    """Give up the values whose names begin so; one that is open is closed by a thread of tasks, after what runs."""
     for name in _beginning(_values, prefix):
         del _values[name]
-    dask_worker.executors["default"].submit(_close, prefix)
+    dask_worker.executors["default"].submit(_close_after_work, prefix)
 
 
 def value_of(shared: Shared) -> Any:
@@ -78,6 +84,11 @@ def _threads_to_load() -> Iterator[None]:
         yield
     finally:
         drjit.set_thread_count(before)
+
+
+def _close_after_work(prefix: str) -> None:
+    with _at_work:
+        _close(prefix)
 
 
 def _close(prefix: str) -> None:

@@ -69,7 +69,7 @@ class Inflow:
 
     def _watch(self, number: int) -> None:
         """Say so when a task is done, or was; a callback of Dask's would come at once for one that is done again."""
-        state = self._futures[number]._state
+        state: Any = self._futures[number]._state
 
         async def wait() -> None:
             await state.wait()
