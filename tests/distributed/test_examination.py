@@ -11,6 +11,7 @@ from slepian_prt.distributed import admission, examination
 from slepian_prt.distributed.crew import open_crew
 from slepian_prt.distributed.examination import look_around, package_versions, sharing_of
 from slepian_prt.errors import UserError
+from tests.distributed.test_crew import wait_until
 
 HERE = look_around("llvm_ad_rgb")
 
@@ -20,7 +21,7 @@ def test_this_process_has_what_it_has():
     assert not HERE.failure
     assert len(HERE.source) == 16
     assert HERE.cores
-    assert set(package_versions()) == {"Python", "slepian_prt", "mitsuba", "drjit", "numpy"}
+    assert set(package_versions()) == {"Python", "slepian_prt", "mitsuba", "drjit", "numpy", "scipy"}
 
 
 @pytest.mark.parametrize(
@@ -57,8 +58,7 @@ def test_other_processors_are_noted_once(cluster, monkeypatch, caplog):
     monkeypatch.setattr(admission, "look_around", lambda variant: other)
     with open_crew(client=cluster) as crew:
         cluster.scale(2)
-        while crew.count < 2:
-            pass
+        assert wait_until(lambda: crew.count == 2)
     assert [record.message for record in caplog.records] == [
         f"processors differ ({', '.join(sorted([HERE.processor, 'riscv64']))}): results are equal to rounding, not to "
         "the bit"
