@@ -35,10 +35,14 @@ _open: dict[str, tuple[Any, contextlib.ExitStack]] = {}
 # workers, whose tasks are done one after the other: threads of Mitsuba are those of the process.
 _at_work = threading.Lock()
 
+# How many threads of Mitsuba a task begins with, once that is said.
+_threads: list[int] = []
+
 
 def call(function: Callable[[Any, Any], Any], shared: Shared | None, item: Any) -> Any:
     """A task: the function, of the opened value and an item."""
     with _at_work:
+        _set_threads()
         return function(None if shared is None else _opened(shared.name), item)
 
 
@@ -46,6 +50,11 @@ def keep(name: str, dask_worker: Any = None) -> None:
     """Hold a value that Dask has brought here, whatever Dask does with its own copy."""
     if name in dask_worker.data:
         _values[name] = dask_worker.data[name]
+
+
+def use_threads(count: int) -> None:
+    """Let tasks that begin from now on have so many threads of Mitsuba; one that runs keeps those that it has."""
+    _threads[:] = [count]
 
 
 async def forget(prefix: str, dask_worker: Any = None) -> None:
@@ -69,6 +78,12 @@ def _opened(name: str) -> Any:
             opened = stack.enter_context(value.open()) if hasattr(value, "open") else value
         _open[name] = opened, stack
     return _open[name][0]
+
+
+def _set_threads() -> None:
+    drjit = sys.modules.get("drjit")
+    if drjit is not None and _threads and drjit.thread_count() != _threads[0]:
+        drjit.set_thread_count(_threads[0])
 
 
 @contextlib.contextmanager
