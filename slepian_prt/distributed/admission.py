@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from slepian_prt.distributed.examination import Equipment, examine, look_around, package_versions, sharing_of
+from slepian_prt.distributed.held import use_threads
 from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
@@ -39,7 +40,9 @@ class Admission:
         needed = repr((package_versions(), here.source, here.renderer))
         self.mark = f"slepian_prt-{hashlib.sha256(needed.encode()).hexdigest()[:12]}"
         self._processors = {here.processor}
+        self._equipment: dict[str, Equipment] = {}  # of workers that were admitted, by address
         self._sharing: Counter[tuple[str, tuple[int, ...]]] = Counter()
+        self._turn = asyncio.Lock()  # the last ones to count workers are the last to say how many threads each has
 
     async def admit(self, addresses: Iterable[str]) -> dict[str, str]:
         """Mark those workers that have what is needed; what is wrong with the others.
@@ -48,17 +51,30 @@ class Admission:
         """
         found = await examine(self._client, addresses, self._variant)
         equipped = {address: what for address, what in found.items() if isinstance(what, Equipment)}
-        self._sharing |= sharing_of(equipped.values())  # the larger: one that joins may stand in for one that died
-        of_each: list[Any] = []
-        for address, has in equipped.items():
-            threads = max(1, len(has.cores) // self._sharing[has.machine, has.cores])
-            mark = (_equip, self.mark, threads, self._variant)
-            of_each.append(self._client.run(*mark, workers=[address], on_error="ignore"))
-        await asyncio.gather(*of_each)
         if equipped:
+            async with self._turn:
+                await self._equip_sharers(equipped)
             await self._client.run_on_scheduler(_wake, list(equipped))
         self._compare_processors(equipped)
         return {address: what for address, what in found.items() if isinstance(what, str)}
+
+    async def _equip_sharers(self, joined: dict[str, Equipment]) -> None:
+        """Mark those that join, and give threads to them and to all whose cores more or fewer workers share now.
+
+        Counted when somebody joins, so that one that stands in for one that died changes nothing.
+        """
+        scheduler: Any = self._client.scheduler
+        living = (await scheduler.identity(n_workers=-1))["workers"]
+        self._equipment = {address: has for address, has in (self._equipment | joined).items() if address in living}
+        before, self._sharing = self._sharing, sharing_of(self._equipment.values())
+        of_each: list[Any] = []
+        for address, has in self._equipment.items():
+            place = has.machine, has.cores
+            if address in joined or self._sharing[place] != before[place]:
+                threads = max(1, len(has.cores) // self._sharing[place])
+                mark = (_equip, self.mark, threads, self._variant)
+                of_each.append(self._client.run(*mark, workers=[address], on_error="ignore"))
+        await asyncio.gather(*of_each)
 
     def _compare_processors(self, equipped: dict[str, Equipment]) -> None:
         before = set(self._processors)
@@ -71,19 +87,18 @@ class Admission:
 
 
 async def _equip(mark: str, threads: int, variant: str, dask_worker: Any = None) -> None:
-    """On a worker: threads of Mitsuba, of BLAS, and the mark."""
-    await asyncio.get_running_loop().run_in_executor(None, _set_threads, threads, variant)
+    """On a worker: threads of Mitsuba, which its next task begins with, of BLAS, and the mark."""
+    await asyncio.get_running_loop().run_in_executor(None, _limit_blas)
+    if variant.startswith("llvm"):
+        use_threads(threads)
     if dask_worker.state.total_resources.get(mark) != 1:
         await dask_worker.set_resources(**{mark: 1})
 
 
-def _set_threads(threads: int, variant: str) -> None:
-    import drjit
+def _limit_blas() -> None:
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1, "blas")
-    if variant.startswith("llvm") and drjit.thread_count() != threads:
-        drjit.set_thread_count(threads)
 
 
 def _wake(addresses: list[str], dask_scheduler: Any = None) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 # What numbers come from.
-PACKAGES = ("slepian_prt", "mitsuba", "drjit", "numpy")
+PACKAGES = ("slepian_prt", "mitsuba", "drjit", "numpy", "scipy")
 
 # Units of x86 that BLAS and LLVM make other instructions for, in another order of sums.
 _VECTOR_UNITS = ("avx", "avx2", "fma", "avx512f")

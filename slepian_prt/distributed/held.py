@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -30,10 +31,19 @@ _values: dict[str, Any] = {}
 # The value that is open, if any: scenes are big, so that another one closes it.
 _open: dict[str, tuple[Any, contextlib.ExitStack]] = {}
 
+# Held by who uses the open value or closes it: a worker may have several threads of Dask, and a process several
+# workers, whose tasks are done one after the other: threads of Mitsuba are those of the process.
+_at_work = threading.Lock()
+
+# How many threads of Mitsuba a task begins with, once that is said.
+_threads: list[int] = []
+
 
 def call(function: Callable[[Any, Any], Any], shared: Shared | None, item: Any) -> Any:
     """A task: the function, of the opened value and an item."""
-    return function(None if shared is None else _opened(shared.name), item)
+    with _at_work:
+        _set_threads()
+        return function(None if shared is None else _opened(shared.name), item)
 
 
 def keep(name: str, dask_worker: Any = None) -> None:
@@ -42,11 +52,16 @@ def keep(name: str, dask_worker: Any = None) -> None:
         _values[name] = dask_worker.data[name]
 
 
+def use_threads(count: int) -> None:
+    """Let tasks that begin from now on have so many threads of Mitsuba; one that runs keeps those that it has."""
+    _threads[:] = [count]
+
+
 async def forget(prefix: str, dask_worker: Any = None) -> None:
-    """Give up the values whose names begin so; one that is open is closed in its thread, after what runs there."""
+    """Give up the values whose names begin so; one that is open is closed by a thread of tasks, after what runs."""
     for name in _beginning(_values, prefix):
         del _values[name]
-    dask_worker.executors["default"].submit(_close, prefix)
+    dask_worker.executors["default"].submit(_close_after_work, prefix)
 
 
 def value_of(shared: Shared) -> Any:
@@ -65,6 +80,12 @@ def _opened(name: str) -> Any:
     return _open[name][0]
 
 
+def _set_threads() -> None:
+    drjit = sys.modules.get("drjit")
+    if drjit is not None and _threads and drjit.thread_count() != _threads[0]:
+        drjit.set_thread_count(_threads[0])
+
+
 @contextlib.contextmanager
 def _threads_to_load() -> Iterator[None]:
     """Two threads of Mitsuba's, where there is one: with it alone Mitsuba 3.9 waits for ever when it reads an .exr."""
@@ -78,6 +99,11 @@ def _threads_to_load() -> Iterator[None]:
         yield
     finally:
         drjit.set_thread_count(before)
+
+
+def _close_after_work(prefix: str) -> None:
+    with _at_work:
+        _close(prefix)
 
 
 def _close(prefix: str) -> None:

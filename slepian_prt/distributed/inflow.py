@@ -68,7 +68,15 @@ class Inflow:
             self._roster.awaited -= left
 
     def _watch(self, number: int) -> None:
-        self._futures[number].add_done_callback(lambda _: self._arrived.put(number))
+        """Say so when a task is done, or was; a callback of Dask's would come at once for one that is done again."""
+        state: Any = self._futures[number]._state
+
+        async def wait() -> None:
+            await state.wait()
+            self._arrived.put(number)
+
+        loop: Any = self._client.loop
+        loop.add_callback(wait)
 
     def _take(self) -> list[tuple[int, Any]]:
         """Results that have come, perhaps none, once anything has."""
@@ -130,7 +138,7 @@ class Inflow:
         if future.status == "finished":
             self._roster.deaths = 0
             return True
-        if future.status in ("cancelled", "lost"):
+        if future.status == "cancelled":
             self._roster.check_scheduler_is_there()
             raise UserError("tasks were cancelled by somebody else; start the command again")
         if future.status == "error":
@@ -139,7 +147,14 @@ class Inflow:
                 self._bring_again(fault.name)
             elif not isinstance(fault, KilledWorker):
                 future.result()
-            self._client.retry([future])
+            self._client.sync(self._retry, future)
             self._client.sync(self._roster.check)
-        self._watch(number)
+        self._watch(number)  # also if it is lost, which is what Dask says until it is done again
         return False
+
+    async def _retry(self, future: Future) -> None:
+        """As the client does, which asks for the futures of all tasks that are done again, also of those let go."""
+        scheduler: Any = self._client.scheduler
+        for key in await scheduler.retry(keys=[future.key], client=self._client.id):
+            if (state := self._client.futures.get(key)) is not None:
+                state.retry()

@@ -169,11 +169,16 @@ class Roster:
             chore.add_done_callback(self._chores.discard)
 
     async def _admit_late(self, address: str) -> None:
-        refused = await self.admission.admit([address])
+        refused: dict[str, str] = {}
+        try:
+            refused = await self.admission.admit([address])
+        except Exception:  # of the connection, or of a question that the worker cannot answer
+            log.debug("the worker %s was not examined", address, exc_info=True)
+        finally:
+            if not refused:
+                self._seen.discard(address)  # without an answer it has no mark, and is looked at again
         for worker, why in refused.items():
             log.info("the worker %s is given no work: it %s", worker, why)
-        if not refused:
-            self._seen.discard(address)  # without an answer it has no mark, and is looked at again
 
     async def _check_scheduler(self) -> None:
         """It reads tasks too."""

@@ -21,10 +21,9 @@ def threaded_cluster(**options: Any) -> Any:
     distributed = pytest.importorskip("distributed")
     return distributed.LocalCluster(
         n_workers=1,
-        threads_per_worker=1,
         processes=False,
         memory_limit=0,
         dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL + 1,
-        **{"protocol": "tcp", "host": "127.0.0.1", **options},
+        **{"threads_per_worker": 1, "protocol": "tcp", "host": "127.0.0.1", **options},
     )

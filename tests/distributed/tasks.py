@@ -56,6 +56,13 @@ def opened(_: object, __: int) -> dict[str, int]:
     return OPENED | {"process": os.getpid()}
 
 
+def closed_meanwhile(_: object, seconds: float) -> int:
+    """How many values were closed in this process while the task ran."""
+    before = OPENED["closed"]
+    time.sleep(seconds)
+    return OPENED["closed"] - before
+
+
 def wait(_: object, seconds: float) -> float:
     time.sleep(seconds)
     return seconds

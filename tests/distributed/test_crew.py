@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from slepian_prt.distributed import examination, held, roster
+from slepian_prt.distributed import admission, examination, held, roster
 from slepian_prt.distributed.crew import Crew, open_crew
 from slepian_prt.errors import UserError
 from tests.distributed import tasks
@@ -239,6 +239,19 @@ def test_a_worker_of_whom_nobody_heard_is_seen(cluster, monkeypatch):
     with open_crew(client=cluster) as crew:
         cluster.scale(2)
         assert wait_until(lambda: crew.count == 2)
+
+
+def test_a_worker_whose_examination_fails_is_examined_again(cluster, monkeypatch):
+    with open_crew(client=cluster) as crew:
+        examine, faults = admission.examine, [OSError("the connection broke")]
+
+        async def examine_late(*given):
+            return await (fail(faults.pop()) if faults else examine(*given))
+
+        monkeypatch.setattr(admission, "examine", examine_late)
+        cluster.scale(2)
+        assert wait_until(lambda: crew.count == 2)
+        assert not faults
 
 
 def test_no_worker_is_left(cluster, monkeypatch):
