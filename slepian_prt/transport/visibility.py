@@ -17,10 +17,6 @@ from slepian_prt.transport.hemisphere import HemisphereRays, turned_frames
 # threads, which took three and ten times as long.
 _PRODUCTS = 1 << 17
 
-# Sizes of direction sets from one to twice that, where sets are large enough for it to matter how many are made.
-SIZES_PER_OCTAVE = 8
-_LARGE_SET = 128
-
 # Open directions of a receiver that are few enough to be leaks, and how far beside them to look again, in radians.
 _LEAKS = 3
 _BESIDE = 1e-3
@@ -69,16 +65,10 @@ def nodes_for(samples: float, changes: float) -> int:
     """Size of the set of directions with which a receiver gets ``samples`` rays on average.
 
     ``changes`` is the number of edges along which visibility changes, measured on a set, over the root of its size:
-    the boundary of visibility is a curve. Each costs two rays. Of large sizes there are eight to an octave, of which
-    the nearest is taken: scenes that are much alike have the same set, and its tables take longer to make than a
-    small scene to trace.
+    the boundary of visibility is a curve. Each costs two rays.
     """
     root = -changes + math.sqrt(changes * changes + samples)
-    most = max(SMALLEST_SET, int(root * root))
-    if most < _LARGE_SET:
-        return most
-    step = round(math.log2(most) * SIZES_PER_OCTAVE)
-    return round(2.0 ** (step / SIZES_PER_OCTAVE))
+    return max(SMALLEST_SET, int(root * root))
 
 
 class VisibilitySamples(NamedTuple):
