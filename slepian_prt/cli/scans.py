@@ -48,8 +48,9 @@ _MOST_TOLD = 20
 def into_folder(scenes: Sequence[str], listed: str | None, formats: Sequence[str], output: str) -> bool:
     """Whether a folder is wanted, not the file of one scene."""
     is_folder = output.endswith(("/", os.sep)) or (output != "" and Path(output).is_dir())
-    if not is_folder and len(scenes) > 1 and output.lower().endswith(".prt"):
-        raise UserError(f"{output}: {len(scenes)} scenes go into a folder; name one, or give one scene")
+    if not is_folder and output.lower().endswith(".prt") and (len(scenes) > 1 or formats or listed is not None):
+        what = f"{len(scenes)} scenes go" if len(scenes) > 1 else "a list goes" if listed is not None else "formats go"
+        raise UserError(f"{output}: {what} into a folder; name one, or give one scene alone")
     return is_folder or len(scenes) != 1 or listed is not None or bool(formats)
 
 

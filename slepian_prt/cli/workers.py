@@ -39,7 +39,13 @@ def crew_of(options: Mapping[str, Any]) -> Iterator[Crew | None]:
     from slepian_prt.distributed.crew import open_crew
 
     security = make_security(*(options.get(name) for name in ("tls_ca_file", "tls_cert", "tls_key")))
-    with open_crew(**given, security=security) as crew:
-        if crew.address:
-            note(f"dashboard: {crew.address}")
-        yield crew
+    is_done = False
+    try:
+        with open_crew(**given, security=security) as crew:
+            if crew.address:
+                note(f"dashboard: {crew.address}")
+            yield crew
+            is_done = True
+    except KeyboardInterrupt:
+        if not is_done:  # else all is written, and the workers are sent home
+            raise

@@ -84,7 +84,7 @@ def read_scheduler_file(path: str | Path) -> str:
         No such file, or one without an address.
     """
     path = Path(path)
-    remedy = "name the file that the scheduler wrote, which Dask calls its scheduler file"
+    remedy = "name the one that `dask scheduler` was told to write"
     try:
         content = json.loads(path.read_text())
     except OSError as error:

@@ -118,7 +118,10 @@ class Roster:
             )
         now = time.monotonic()
         seen, self._looked = min(now - self._looked, 2 * GLANCE), now  # nobody may have looked for long
-        self._alone = 0.0 if any(worker["status"] == "running" for worker in able) else self._alone + seen
+        is_alone = not any(worker["status"] == "running" for worker in able)
+        if is_alone and self._alone == 0.0 and not self._is_ours:
+            log.info("no worker is there to go on; waiting %.0f minutes for one", _PATIENCE[False] / 60.0)
+        self._alone = self._alone + max(seen, 1e-3) if is_alone else 0.0
         if self._alone > _PATIENCE[self._is_ours]:
             if able:
                 raise UserError("all workers are paused by Dask, at the limit of their memory; start them with more")
