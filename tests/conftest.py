@@ -56,9 +56,9 @@ def browser() -> Iterator[Any]:
         yield chromium
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def crew() -> Iterator[Crew]:
-    """Two workers of a local cluster, in processes of their own, started once."""
+    """Two workers of a local cluster, in processes of their own; Dask's threads end with the module that needs them."""
     pytest.importorskip("distributed")
     with open_crew(workers=2) as opened:
         yield opened

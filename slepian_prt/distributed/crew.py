@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slepian_prt.distributed.connection import dask_distributed, given_client, local_client, read_scheduler_file
+from slepian_prt.distributed.garbage import collect_young, collected_by_this_thread
 from slepian_prt.distributed.held import Shared, call, forget, keep
 from slepian_prt.distributed.inflow import Inflow
 from slepian_prt.distributed.local_cluster import has_dashboard
@@ -75,7 +76,7 @@ def open_crew(
     if scheduler_file is not None:
         scheduler = read_scheduler_file(scheduler_file)
     opened = local_client(workers, security) if workers is not None else given_client(client or scheduler, security)
-    with opened as connected:
+    with collected_by_this_thread(), opened as connected:
         roster = Roster(connected, variant or usable_variant(), is_ours=workers is not None)
         crew = Crew(connected, roster)
         try:
@@ -184,7 +185,9 @@ class Crew:
             What a task raised, as it was.
         """
         try:
-            yield from Inflow(self.client, self._roster, futures, self._bring_again).results()
+            for found in Inflow(self.client, self._roster, futures, self._bring_again).results():
+                yield found
+                collect_young()
         except BaseException:
             self.cancel(futures)
             raise

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from slepian_prt.distributed.garbage import collected_by_this_thread
+
 
 @dataclass(frozen=True)
 class Shared:
@@ -41,7 +43,7 @@ _threads: list[int] = []
 
 def call(function: Callable[[Any, Any], Any], shared: Shared | None, item: Any) -> Any:
     """A task: the function, of the opened value and an item."""
-    with _at_work:
+    with _at_work, collected_by_this_thread():
         _set_threads()
         return function(None if shared is None else _opened(shared.name), item)
 
@@ -102,7 +104,7 @@ def _threads_to_load() -> Iterator[None]:
 
 
 def _close_after_work(prefix: str) -> None:
-    with _at_work:
+    with _at_work, collected_by_this_thread():
         _close(prefix)
 
 

@@ -1,0 +1,61 @@
+import gc
+import threading
+import weakref
+
+from slepian_prt.distributed.garbage import collect_young, collected_by_this_thread
+
+
+class Cycle:
+    """Garbage that only a collection frees; it tells which thread did."""
+
+    def __init__(self, freed: list[str]) -> None:
+        self.itself = self
+        weakref.finalize(self, lambda: freed.append(threading.current_thread().name))
+
+
+def allocate() -> None:
+    """Enough for Python to collect, were it to."""
+    for _ in range(5):
+        kept = [[] for _ in range(20_000)]
+        del kept
+
+
+def in_another_thread() -> None:
+    thread = threading.Thread(target=allocate, name="another")
+    thread.start()
+    thread.join()
+
+
+def test_another_thread_frees_what_it_did_not_make():
+    """What the block is for, shown without it."""
+    freed: list[str] = []
+    gc.collect()
+    Cycle(freed)
+    in_another_thread()
+    assert freed == ["another"]
+
+
+def test_this_thread_frees_its_garbage():
+    freed: list[str] = []
+    with collected_by_this_thread():
+        Cycle(freed)
+        in_another_thread()
+        assert freed == []
+        collect_young()
+        assert freed == ["MainThread"]
+        Cycle(freed)
+        with collected_by_this_thread():  # as of a crew that is handed on
+            Cycle(freed)
+        assert len(freed) == 1
+    assert freed == 3 * ["MainThread"]
+    assert gc.isenabled()
+
+
+def test_who_collects_by_himself_goes_on_so():
+    gc.disable()
+    try:
+        with collected_by_this_thread():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
