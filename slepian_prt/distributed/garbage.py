@@ -26,10 +26,20 @@ def collected_by_this_thread() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-        gc.collect()
+        _collect(2)
         gc.enable()
 
 
 def collect_young() -> None:
     """Collect what has become garbage lately."""
-    gc.collect(1)
+    _collect(1)
+
+
+def _collect(generation: int) -> None:
+    """Without what Dask has called before and after: an interrupt that comes meanwhile would be lost in it."""
+    callbacks = gc.callbacks[:]
+    gc.callbacks.clear()
+    try:
+        gc.collect(generation)
+    finally:
+        gc.callbacks[:] = callbacks

@@ -15,6 +15,7 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, compress_scene
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.operator import transfer_operator
+from slepian_prt.transport import directions
 from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import precompute
@@ -334,6 +335,8 @@ def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
     try:
         for subdivisions in (5, 6):
             mesh = bumpy(subdivisions)
+            directions._KEPT.clear()  # tables that other tests have left would count for one of them only
+            directions.direction_set.cache_clear()
             tracemalloc.reset_peak()
             held = tracemalloc.get_traced_memory()[0]
             compress_scene(mesh, CompressionSettings(tolerance=0.1, clusters=24), TransportSettings(20, 64))

@@ -59,3 +59,17 @@ def test_who_collects_by_himself_goes_on_so():
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_an_interrupt_is_not_lost_in_what_others_have_called():
+    """Python swallows what is raised in callbacks of the collector, which Dask has."""
+    called: list[str] = []
+    gc.callbacks.append(lambda phase, _: called.append(phase))
+    try:
+        with collected_by_this_thread():
+            collect_young()
+        assert called == []
+        gc.collect()
+        assert called == ["start", "stop"]
+    finally:
+        gc.callbacks.pop()
