@@ -159,7 +159,7 @@ def test_workers_that_die_twice_are_started_again(crew: Crew):
 def test_workers_that_always_die_are_given_up(crew: Crew, monkeypatch):
     monkeypatch.setattr(roster, "_FEWEST_DEATHS", 1)
     monkeypatch.setattr(roster, "_DEATHS", 0)
-    with pytest.raises(UserError, match=r"^[2-4] workers died one after the other and nothing was finished"):
+    with pytest.raises(UserError, match=r"^\d+ workers died one after the other and nothing was finished"):
         crew.gather(crew.submit(tasks.die, [0]))
     assert wait_until(lambda: crew.count == 2)
 
