@@ -76,7 +76,7 @@ def open_crew(
     if scheduler_file is not None:
         scheduler = read_scheduler_file(scheduler_file)
     opened = local_client(workers, security) if workers is not None else given_client(client or scheduler, security)
-    with collected_by_this_thread(), opened as connected:
+    with collected_by_this_thread(whole=True), opened as connected:
         roster = Roster(connected, variant or usable_variant(), is_ours=workers is not None)
         crew = Crew(connected, roster)
         try:

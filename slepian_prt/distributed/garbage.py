@@ -12,10 +12,10 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def collected_by_this_thread() -> Iterator[None]:
+def collected_by_this_thread(*, whole: bool = False) -> Iterator[None]:
     """Within the block no other thread collects garbage; this one does when it ends, and by `collect_young`.
 
-    What is there already is left out (`gc.freeze`), so that this takes little time.
+    Of what was there before only if the ``whole`` is wanted: to look through it takes a tenth of a second.
     """
     if not gc.isenabled():  # by a block around this one, or by the user
         yield
@@ -25,14 +25,22 @@ def collected_by_this_thread() -> Iterator[None]:
     try:
         yield
     finally:
-        gc.unfreeze()
+        if whole:
+            gc.unfreeze()
         _collect(2)
+        gc.unfreeze()
         gc.enable()
 
 
 def collect_young() -> None:
     """Collect what has become garbage lately."""
     _collect(1)
+
+
+def collect_whole() -> None:
+    """Collect all that is garbage, also of before a block began."""
+    gc.unfreeze()
+    _collect(2)
 
 
 def _collect(generation: int) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from slepian_prt.distributed.garbage import collected_by_this_thread
+from slepian_prt.distributed.garbage import collect_whole, collected_by_this_thread
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,11 @@ def _close_after_work(prefix: str) -> None:
 
 
 def _close(prefix: str) -> None:
-    for name in _beginning(_open, prefix):
+    closed = _beginning(_open, prefix)
+    for name in closed:
         _open.pop(name)[1].close()
+    if closed:
+        collect_whole()  # here, and not by Dask's thread later on
 
 
 def _beginning(names: Iterable[str], prefix: str) -> list[str]:

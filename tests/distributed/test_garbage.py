@@ -2,7 +2,7 @@ import gc
 import threading
 import weakref
 
-from slepian_prt.distributed.garbage import collect_young, collected_by_this_thread
+from slepian_prt.distributed.garbage import collect_whole, collect_young, collected_by_this_thread
 
 
 class Cycle:
@@ -73,3 +73,22 @@ def test_an_interrupt_is_not_lost_in_what_others_have_called():
         assert called == ["start", "stop"]
     finally:
         gc.callbacks.pop()
+
+
+def test_what_was_there_before_is_looked_at_only_if_that_is_wanted():
+    """To look through all that a worker has imported, after each task, took more time than most tasks."""
+    freed: list[str] = []
+    gc.collect()
+    with collected_by_this_thread():
+        first = Cycle(freed)
+        gc.freeze()  # as a block that begins with it there
+        del first
+        collect_young()
+        assert freed == []
+        collect_whole()
+        assert freed == ["MainThread"]
+    second = Cycle(freed)
+    with collected_by_this_thread(whole=True):
+        del second
+        assert len(freed) == 1
+    assert freed == 2 * ["MainThread"]
