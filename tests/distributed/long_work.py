@@ -2,6 +2,7 @@
 
 import logging
 import os
+import signal
 
 from slepian_prt.distributed.crew import open_crew
 from tests.distributed import tasks
@@ -9,6 +10,7 @@ from tests.distributed import tasks
 
 def main() -> None:
     """As the command line, with a task that takes long after short ones."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells have what they put in the background ignore it
     logging.basicConfig(level=logging.WARNING)
     with open_crew(workers=2) as crew:
         workers = crew.client.run(os.getpid).values()
