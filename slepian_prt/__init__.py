@@ -40,6 +40,7 @@ Functions on the sphere
     cap_region                      The region inside a cap.
     polygon_region                  The region inside a spherical polygon.
     mask_region                     The region where a map is not zero.
+    region_area, region_boundary    Area of a region, and length of its boundary.
     minimal_enclosing_cap           The smallest cap that holds some directions.
     cosine_lobe                     Zonal coefficients of the clamped cosine and its powers.
     zonal_coefficients              Zonal coefficients of any lobe.

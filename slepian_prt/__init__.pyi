@@ -44,6 +44,8 @@ from .sphere.harmonics import real_sh as real_sh
 from .sphere.regions import cap_region as cap_region
 from .sphere.regions import mask_region as mask_region
 from .sphere.regions import polygon_region as polygon_region
+from .sphere.regions import region_area as region_area
+from .sphere.regions import region_boundary as region_boundary
 from .sphere.rotation import rotate_sh as rotate_sh
 from .transport.capturing.capture import capture as capture
 from .transport.transfer import Transfer as Transfer
