@@ -49,6 +49,7 @@ Counting functions
     shannon_number                  N, the sum of all concentrations.
     generalized_shannon_number      N_g of Lessig & Fiume (2010).
     refined_shannon_number          N_ref, two-term asymptotics.
+    szego_number                    By Szegő's theorem, after Mahajan et al. (2007): no second term.
     concentration_count             How many concentrations are above a threshold, exactly.
 Plots
     plot_picture                    A relit model, on Matplotlib axes.

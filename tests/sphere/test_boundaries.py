@@ -122,5 +122,5 @@ def test_of_masks():
 
 @pytest.mark.parametrize("measure", [region_area, region_boundary])
 def test_what_is_no_region(measure):
-    with pytest.raises(UserError, match="must come from cap_region, polygon_region or mask_region, not 0.5"):
+    with pytest.raises(UserError, match=r"must come from cap_region, polygon_region or mask_region, not 0\.5"):
         measure(0.5)
