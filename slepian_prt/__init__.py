@@ -51,6 +51,9 @@ Counting functions
     refined_shannon_number          N_ref, two-term asymptotics.
     szego_number                    By Szegő's theorem, after Mahajan et al. (2007): no second term.
     concentration_count             How many concentrations are above a threshold, exactly.
+    line_concentrations             Concentrations of functions on the line, in an interval.
+    line_number                     Slepian's estimate of how many of them are above a threshold.
+    disc_concentrations             Concentrations on a disc of the plane, the limit of small caps.
 Plots
     plot_picture                    A relit model, on Matplotlib axes.
     plot_errors                     Errors that `slepian-prt compare` measured, against bytes or functions.

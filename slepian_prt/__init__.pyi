@@ -33,6 +33,10 @@ from .slepian.kernels import SecondMoment as SecondMoment
 from .slepian.kernels import cosine_lobe as cosine_lobe
 from .slepian.kernels import measured_moment as measured_moment
 from .slepian.kernels import zonal_coefficients as zonal_coefficients
+from .slepian.plane_limit import DiscSpectrum as DiscSpectrum
+from .slepian.plane_limit import disc_concentrations as disc_concentrations
+from .slepian.plane_limit import line_concentrations as line_concentrations
+from .slepian.plane_limit import line_number as line_number
 from .slepian.region_concentration import RegionBasis as RegionBasis
 from .slepian.region_concentration import region_basis as region_basis
 from .slepian.shannon import concentration_count as concentration_count
