@@ -23,6 +23,7 @@ _NAMES = (
     ("n_g_natural", "generalised, natural logarithms"),
     ("n_ref", "two-term asymptotics, N_ref"),
     ("szego", "by Szegő's theorem (after Mahajan et al. 2007)"),
+    ("n_ref_transport", "two-term asymptotics of the kernel's own band"),
 )
 
 
@@ -89,7 +90,8 @@ def _print_numbers(result: Spectrum) -> None:
         f"effective dimension {result.effective_dimension} of {result.dimension}, coherence {result.coherence:.2f}"
     )
     for name, text in _NAMES:
-        click.echo(f"{result.numbers[name]:10.2f}  {text}")
+        if name in result.numbers:
+            click.echo(f"{result.numbers[name]:10.2f}  {text}")
     click.echo(f"first eigenvalues{'' if result.kernel == 'slepian' else ', relative to the first'} (order m):")
     for value, order in zip(result.eigenvalues[:_SHOWN], result.orders[:_SHOWN], strict=True):
         click.echo(f"  {value:.10g}  (m = {order:+d})")

@@ -41,7 +41,8 @@ class Spectrum:
     orders : (K,) int
     numbers : dict of str to float
         ``shannon``, ``n_g``, ``n_g_natural``, ``n_ref``, ``szego`` and the exact ``count`` of concentrations above ε of
-        the plain problem; with a kernel also ``transport_count``, of eigenvalues above ε of the first.
+        the plain problem; with a kernel also ``transport_count``, of eigenvalues above ε of the first, and
+        ``n_ref_transport``, its estimate.
     radially_symmetric : bool
         Whether the functions are those of order 0 alone.
     """
@@ -134,6 +135,7 @@ def spectrum(
         "count": float(concentration_count(*cap, epsilon, **only)),
     }
     if zonal is not None:
+        numbers["n_ref_transport"] = refined_shannon_number(*cap, epsilon, kernel=zonal, **only)
         numbers["transport_count"] = float(np.sum(values > epsilon))
     return Spectrum(kernel, bandlimit, half_angle, epsilon, values, basis.orders, numbers, radially_symmetric)
 

@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
 from slepian_prt.slepian.concentration import cap_basis
@@ -85,7 +85,12 @@ def generalized_shannon_number(
 
 
 def refined_shannon_number(
-    bandlimit: int, half_angle: float | Region, epsilon: float, *, radially_symmetric: bool = False
+    bandlimit: int,
+    half_angle: float | Region,
+    epsilon: float,
+    *,
+    kernel: ArrayLike | None = None,
+    radially_symmetric: bool = False,
 ) -> float:
     """N_ref(ε): two-term asymptotics with the spherical constant, clipped to [0, the dimension of the space].
 
@@ -109,6 +114,9 @@ def refined_shannon_number(
     ----------
     bandlimit, half_angle, radially_symmetric : as in `shannon_number`
     epsilon : float in (0, 1)
+    kernel : (L+1,) zonal coefficients t_l, optional
+        For eigenvalues of transport above ε of the first: L becomes the highest degree with t_l² > ε max t². That takes
+        the kernel's band for flat; docs/shannon.md has the errors.
 
     Raises
     ------
@@ -116,6 +124,7 @@ def refined_shannon_number(
         An argument outside its range.
     """
     bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
+    bandlimit = int(_degrees_above(bandlimit, epsilon, kernel).max(initial=0))
     number = shannon_number(bandlimit, half_angle, radially_symmetric=radially_symmetric)
     k, extent, ratio = bandlimit + 1, _extent(half_angle), math.log((1.0 - epsilon) / epsilon)
     if extent.boundary > 0.0:
@@ -165,9 +174,7 @@ def szego_number(
     UserError
         An argument outside its range.
     """
-    bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
-    power = np.ones(bandlimit + 1) if kernel is None else check_zonal(kernel, bandlimit) ** 2
-    degrees = np.flatnonzero(power > epsilon * power.max())
+    degrees = _degrees_above(check_bandlimit(bandlimit), check_epsilon(epsilon), kernel)
     if radially_symmetric:
         return degrees.size * (_angle_of_symmetry(half_angle) / math.pi)
     return float(np.sum(2 * degrees + 1)) * _extent(half_angle).area / (4.0 * math.pi)
@@ -232,6 +239,12 @@ def _extent(half_angle: float | Region) -> _Extent:
     share = min(area / (4.0 * math.pi), 1.0)
     width = 2.0 * area * (1.0 - share) / boundary if boundary > 0.0 else 0.0
     return _Extent(area, boundary if width > 0.0 else 0.0, width, 2.0 * math.asin(math.sqrt(share)))
+
+
+def _degrees_above(bandlimit: int, epsilon: float, kernel: ArrayLike | None) -> NDArray[np.int64]:
+    """Degrees whose power is above ε of the largest; all of them without a kernel."""
+    power = np.ones(bandlimit + 1) if kernel is None else check_zonal(kernel, bandlimit) ** 2
+    return np.flatnonzero(power > epsilon * power.max())
 
 
 def _angle_of_symmetry(half_angle: float | Region, what: str = "radially symmetric functions") -> float:
