@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from drawing import COLORS, save
 from paper import pit
+from paper.spectra import EPSILON
 
 import slepian_prt as sp
 
@@ -16,7 +17,8 @@ def paper_figure_4() -> None:
     """Fig. 4 of the paper, partial occlusion: the floor of a hemispherical pit under radially symmetric light.
 
     Spectrum of Eq. 9 (radially symmetric Slepian functions, C = 4(L+1)Θ) against that of exact transport, by
-    integration over the open disk, and of ray-traced transport.
+    integration over the open disk, and of ray-traced transport. Lines at the paper's N_g; diamonds on the level ε are
+    at the estimate that fits, N_ref of radially symmetric functions.
     """
     figure, (sketch, axis) = plt.subplots(1, 2, figsize=(12, 4.8), width_ratios=(1, 1.6))
     arc = np.linspace(-np.pi / 2, np.pi / 2, 181)
@@ -44,12 +46,16 @@ def paper_figure_4() -> None:
         axis.plot(index, plain / plain[0], "-", color=color, label=f"Θ = {angle}°")
         axis.plot(index, exact, "--", color=color)
         axis.plot(index, traced, "o", color=color, fillstyle="none", markersize=5)
-        number = sp.generalized_shannon_number(bandlimit, angles[-1], 0.01, radially_symmetric=True)
+        number = sp.generalized_shannon_number(bandlimit, angles[-1], EPSILON, radially_symmetric=True)
         axis.axvline(number, color=color, linestyle="-.", linewidth=1)
+        refined = sp.refined_shannon_number(bandlimit, angles[-1], EPSILON, radially_symmetric=True)
+        axis.plot(refined, EPSILON, "D", color=color, markersize=7, zorder=5)
     axis.plot([], [], "k-", label="Slepian, Eq. 9")
     axis.plot([], [], "k--", label="exact transport in the pit")
     axis.plot([], [], "ko", fillstyle="none", label="ray-traced")
     axis.plot([], [], "k-.", linewidth=1, label="N_g(0.01), C = 4(L+1)Θ")
+    axis.plot([], [], "kD", markersize=6, label="N_ref(0.01), of order 0")
+    axis.axhline(EPSILON, color="#999999", linewidth=0.8)
     axis.set_yscale("log")
     axis.set_ylim(1e-12, 3)
     axis.set_xlim(0.8, 11.5)
