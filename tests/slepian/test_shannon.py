@@ -96,6 +96,14 @@ def test_refined_number_of_radially_symmetric_functions_rounds_to_the_count():
     assert np.mean(generalised) >= 7.0  # functions too many: what docs/shannon.md says of the paper's number
 
 
+@pytest.mark.parametrize(("bandlimit", "degrees", "epsilon"), [(50, 1, 1e-8), (50, 0.5, 1e-6), (20, 2, 1e-9)])
+def test_refined_number_of_radially_symmetric_functions_where_the_cap_is_too_small_for_it(bandlimit, degrees, epsilon):
+    # Next orders grow without end there: the first of them alone would make it 4.6 for 2.
+    half_angle = math.radians(degrees)
+    count = concentration_count(bandlimit, half_angle, epsilon, radially_symmetric=True)
+    assert abs(refined_shannon_number(bandlimit, half_angle, epsilon, radially_symmetric=True) - count) < 1.0
+
+
 def test_szegos_number_of_a_kernel():
     # Diffuse: t = 1, 2/3, 1/4, 0, -1/24; squares above a twentieth are those of the degrees 0, 1 and 2.
     diffuse = cosine_lobe(4)
@@ -106,6 +114,7 @@ def test_szegos_number_of_a_kernel():
     # 2 of radially symmetric functions have squares above 0.1
     radial = szego_number(4, half_angle, 0.1, kernel=diffuse, radially_symmetric=True)
     assert radial == pytest.approx(2 * half_angle / math.pi, rel=1e-14)
+    assert szego_number(4, half_angle, 0.05, kernel=5.0 * diffuse) == szego_number(4, half_angle, 0.05, kernel=diffuse)
     # All degrees alike: the Shannon number, as Szegő's theorem has no second term.
     for epsilon in EPSILONS:
         assert szego_number(7, half_angle, epsilon) == pytest.approx(shannon_number(7, half_angle), rel=1e-14)
