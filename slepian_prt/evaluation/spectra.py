@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
@@ -162,9 +163,11 @@ def plot_spectrum(result: Spectrum) -> bytes:
         ("shannon", "N", "#222222", ":"),
         ("n_g", "N_g", "#D55E00", "-."),
         ("n_ref", "N_ref", "#009E73", "--"),
+        ("szego", "Szegő", "#CC79A7", (0, (1, 1))),
+        ("n_ref_transport", "N_ref of the kernel's band", "#E69F00", "--"),
     ]
-    if result.kernel != "slepian":
-        marks.append(("szego", "Szegő", "#CC79A7", (0, (1, 1))))
+    if result.kernel == "slepian":  # where Szegő's number is N
+        marks = marks[:3]
     for axis in (upper, lower):
         draw_spectrum(axis, drawn, result.kernel, color="#0072B2", marker="o")
         for name, symbol, color, dash in marks:
@@ -176,10 +179,11 @@ def plot_spectrum(result: Spectrum) -> bytes:
     lower.set_yscale("log")
     lower.set_ylim(max(1e-16, 0.3 * float(drawn[drawn > 0].min(initial=1.0))), 3.0)
     lower.set_xlabel("index")
+    lower.xaxis.set_major_locator(MaxNLocator(integer=True))
     upper.set_title(
         f"L = {result.bandlimit}, Θ = {math.degrees(result.half_angle):g}°"
         f"{', radially symmetric' if result.radially_symmetric else ''}: effective dimension "
         f"{result.effective_dimension} of {result.dimension} at ε = {result.epsilon:g}"
     )
-    upper.legend(frameon=False)
+    upper.legend(edgecolor="none", framealpha=0.95)
     return plots.encode_figure(figure)
