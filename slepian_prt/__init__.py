@@ -40,6 +40,7 @@ Functions on the sphere
     cap_region                      The region inside a cap.
     polygon_region                  The region inside a spherical polygon.
     mask_region                     The region where a map is not zero.
+    region_area, region_boundary    Area of a region, and length of its boundary.
     minimal_enclosing_cap           The smallest cap that holds some directions.
     cosine_lobe                     Zonal coefficients of the clamped cosine and its powers.
     zonal_coefficients              Zonal coefficients of any lobe.
@@ -48,7 +49,11 @@ Counting functions
     shannon_number                  N, the sum of all concentrations.
     generalized_shannon_number      N_g of Lessig & Fiume (2010).
     refined_shannon_number          N_ref, two-term asymptotics.
+    szego_number                    By Szegő's theorem, after Mahajan et al. (2007): no second term.
     concentration_count             How many concentrations are above a threshold, exactly.
+    line_concentrations             Concentrations of functions on the line, in an interval.
+    line_number                     Slepian's estimate of how many of them are above a threshold.
+    disc_concentrations             Concentrations on a disc of the plane, the limit of small caps.
 Plots
     plot_picture                    A relit model, on Matplotlib axes.
     plot_errors                     Errors that `slepian-prt compare` measured, against bytes or functions.

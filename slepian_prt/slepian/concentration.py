@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer
-from slepian_prt.slepian.kernels import SecondMoment
+from slepian_prt.slepian.kernels import SecondMoment, check_zonal
 from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
 from slepian_prt.sphere.quadrature import CapNodes, cap_nodes
@@ -274,9 +274,7 @@ def cap_moment_factors(
         if kernel.bandlimit != bandlimit:
             raise UserError(f"kernel must have bandlimit {bandlimit}, not {kernel.bandlimit}")
         return _averaged_moment_factors(kernel, nodes, last_order)
-    zonal = np.asarray(kernel, dtype=np.float64)
-    if zonal.shape != (bandlimit + 1,) or not np.all(np.isfinite(zonal)):
-        raise UserError(f"kernel must hold {bandlimit + 1} finite zonal coefficients, not shape {zonal.shape}")
+    zonal = check_zonal(kernel, bandlimit)
     return [_sampled_order(bandlimit, m, nodes) * zonal[m:] for m in range(last_order + 1)]
 
 

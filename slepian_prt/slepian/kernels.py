@@ -59,6 +59,21 @@ def zonal_coefficients(bandlimit: int, lobe: Callable[[NDArray], NDArray], nodes
     return np.array([2.0 * math.pi * np.sum(weighted * eval_legendre(l, x)) for l in range(bandlimit + 1)])
 
 
+def check_zonal(kernel: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
+    """Return ``kernel`` as the (L+1,) zonal coefficients of a bandlimit; raise UserError unless it holds as many."""
+    try:
+        zonal = np.asarray(kernel, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise UserError(f"kernel must hold {bandlimit + 1} zonal coefficients, not {kernel!r}") from None
+    if zonal.shape != (bandlimit + 1,):
+        raise UserError(f"kernel must hold {bandlimit + 1} finite zonal coefficients, not shape {zonal.shape}")
+    if not np.all(np.isfinite(zonal)):
+        raise UserError(
+            f"kernel must hold {bandlimit + 1} finite zonal coefficients, not {zonal[~np.isfinite(zonal)][0]}"
+        )
+    return zonal
+
+
 def zonal_vectors(zonal: ArrayLike, axes: NDArray) -> NDArray[np.float32]:
     """Copies of a zonal kernel about axes: t_l y_lm(axis), shape (n, (L+1)²); zero where the axis is.
 

@@ -1,66 +1,257 @@
-"""How many functions a region holds: Shannon numbers, their refinements, and the exact count."""
+"""How many functions a region holds: Shannon numbers, their refinements, and the exact count.
+
+All take the half-angle of a cap, or a region from `cap_region`, `polygon_region` or `mask_region`.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
 from slepian_prt.slepian.concentration import cap_basis
+from slepian_prt.slepian.kernels import check_zonal
+from slepian_prt.slepian.region_concentration import region_basis
 from slepian_prt.sphere.caps import cap_area, cap_boundary
+from slepian_prt.sphere.regions import Region, region_area, region_boundary
 
 
-def shannon_number(bandlimit: int, half_angle: float) -> float:
-    """N = (L+1)² A/4π = (L+1)² sin²(Θ/2), the sum of all concentrations (Simons, Dahlen & Wieczorek 2006)."""
-    return (check_bandlimit(bandlimit) + 1) ** 2 * math.sin(check_half_angle(half_angle) / 2) ** 2
+def shannon_number(bandlimit: int, half_angle: float | Region, *, radially_symmetric: bool = False) -> float:
+    """N = (L+1)² A/4π, the sum of all concentrations (Simons, Dahlen & Wieczorek 2006).
 
+    (L+1)² sin²(Θ/2) for a cap; radially symmetric functions of a cap have (L+1) Θ/π (Wieczorek & Simons 2005), about
+    the sum of their concentrations.
 
-def generalized_shannon_number(
-    bandlimit: int, half_angle: float, epsilon: float, *, log_base: float = 10.0, radially_symmetric: bool = False
-) -> float:
-    """N_g(ε) of Lessig & Fiume (EGSR 2010), Eq. 6: N + log((1-ε)/ε) B(∂U) log C.
-
-    C = (L+1)² A(U), B = lg((L+1)² |∂U|²)/lg(2π) with |∂U| = 2π sin Θ; radially symmetric signals have C = 4(L+1)Θ.
-    The paper does not fix the base of the outer logarithms; with 10 the number is close to the exact count of
-    concentrations above ε, with e it is up to several times too large. The second term is dropped where one of its
-    logarithms is negative (C < 1 or (L+1)|∂U| < 1: regions too small for the asymptotics), and the whole clipped to
-    [0, the dimension of the space].
+    Parameters
+    ----------
+    bandlimit : int
+    half_angle : float or region
+        Of a cap, in [0, π]; or any region of the sphere.
+    radially_symmetric : bool
+        Only functions of order 0; of a cap.
 
     Raises
     ------
-    ValueError
+    UserError
         An argument outside its range.
     """
-    bandlimit, half_angle, epsilon = check_bandlimit(bandlimit), check_half_angle(half_angle), check_epsilon(epsilon)
+    k = check_bandlimit(bandlimit) + 1
+    if radially_symmetric:
+        return k * (_angle_of_symmetry(half_angle) / math.pi)
+    return k * k * _extent(half_angle).area / (4.0 * math.pi)
+
+
+def generalized_shannon_number(
+    bandlimit: int,
+    half_angle: float | Region,
+    epsilon: float,
+    *,
+    log_base: float = 10.0,
+    radially_symmetric: bool = False,
+) -> float:
+    """N_g(ε) of Lessig & Fiume (EGSR 2010), Eq. 6: N + log((1-ε)/ε) B(∂U) log C.
+
+    C = (L+1)² A(U), B = lg((L+1)² |∂U|²)/lg(2π) with |∂U| the length of the boundary; radially symmetric signals have
+    C = 4(L+1)Θ. The paper does not fix the base of the outer logarithms; with 10 the number is close to the exact count
+    of concentrations above ε, with e it is up to several times too large. For radially symmetric signals it is far too
+    large with either, unless ε = ½: see `refined_shannon_number`. The second term is dropped where one of its
+    logarithms is negative (C < 1 or (L+1)|∂U| < 1: regions too small for the asymptotics), and the whole clipped to
+    [0, the dimension of the space].
+
+    Parameters
+    ----------
+    bandlimit, half_angle, radially_symmetric : as in `shannon_number`
+    epsilon : float in (0, 1)
+    log_base : float > 1
+
+    Raises
+    ------
+    UserError
+        An argument outside its range.
+    """
+    bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
     if not (math.isfinite(log_base) and log_base > 1.0):
         raise UserError(f"log_base must be finite and above 1, not {log_base!r}")
     k = bandlimit + 1
-    region = 4.0 * k * half_angle if radially_symmetric else k * k * cap_area(half_angle)
-    number = region / (4.0 * math.pi)
-    boundary = k * cap_boundary(half_angle)
+    number = shannon_number(bandlimit, half_angle, radially_symmetric=radially_symmetric)
+    region, boundary = 4.0 * math.pi * number, k * _extent(half_angle).boundary
     if region > 1.0 and boundary > 1.0:
         b = 2.0 * math.log(boundary) / math.log(2.0 * math.pi)
         number += math.log((1.0 - epsilon) / epsilon, log_base) * b * math.log(region, log_base)
     return min(max(number, 0.0), float(k if radially_symmetric else k * k))
 
 
-def refined_shannon_number(bandlimit: int, half_angle: float, epsilon: float) -> float:
-    """N_ref(ε): two-term asymptotics with the spherical constant, clipped to [0, (L+1)²].
+def refined_shannon_number(
+    bandlimit: int,
+    half_angle: float | Region,
+    epsilon: float,
+    *,
+    kernel: ArrayLike | None = None,
+    radially_symmetric: bool = False,
+) -> float:
+    """N_ref(ε): two-term asymptotics with the spherical constant, clipped to [0, the dimension of the space].
 
-    N_ref = K² sin²(Θ/2) + (K sin Θ/π²) [ℓ ln C - 2π Im lnΓ(½ + iℓ/2π)], K = L + 1, ℓ = ln((1-ε)/ε),
-    C = 32 e⁻³ K sin Θ e^g, g = 1 - ln|cos Θ| - artanh(sin Θ)/sin Θ, and g = 1 - ln 2 at 90°.
+    For a cap, with K = L + 1, ℓ = ln((1-ε)/ε), φ = 2π Im lnΓ(½ + iℓ/2π):
+
+        N_ref = K² sin²(Θ/2) + (K sin Θ/π²) [ℓ ln(32 e⁻³ K sin Θ e^g) - φ],
+
+    g = 1 - ln|cos Θ| - artanh(sin Θ)/sin Θ, and g = 1 - ln 2 at 90°. Any other region has |∂U|/2π for the first sin Θ,
+    2A(1 - A/4π)/|∂U| for the second, and g of the cap of its area: the same numbers where it is a cap.
+
+    Radially symmetric functions of a cap are those of one order, m = 0, a problem on the interval [0, Θ] with one end
+    in angle and one in degree. Each such pair gives half of the logarithmic term of the line, which has two ends
+    (Landau & Widom 1980):
+
+        N_ref = K Θ/π + (1/2π²) [ℓ ln(4 K sin Θ) - φ] + 3 (ℓ²/π² - 1)/(16π K tan Θ).
+
+    The argument 4 K sin Θ and the last term, of the next order and kept within ±½, were found from exact spectra up to
+    L = 400. From K sin Θ = 2 on, the i-th eigenvalue λ has N_ref(λ) = i - ½ to .01 where λ and 1 - λ are above 1e-4.
+
+    Parameters
+    ----------
+    bandlimit, half_angle, radially_symmetric : as in `shannon_number`
+    epsilon : float in (0, 1)
+    kernel : (L+1,) zonal coefficients t_l, optional
+        For eigenvalues of transport above ε of the first: L becomes the highest degree with t_l² > ε max t². That takes
+        the kernel's band for flat; docs/shannon.md has the errors.
+
+    Raises
+    ------
+    UserError
+        An argument outside its range.
     """
-    bandlimit, half_angle, epsilon = check_bandlimit(bandlimit), check_half_angle(half_angle), check_epsilon(epsilon)
-    k = bandlimit + 1
-    number = shannon_number(bandlimit, half_angle)
-    sine = math.sin(min(half_angle, math.pi - half_angle))
-    if k * sine > 0.0:
-        ratio = math.log((1.0 - epsilon) / epsilon)
-        c = 32.0 * math.exp(-3.0 + _curvature_term(half_angle)) * k * sine
+    bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
+    bandlimit = int(_degrees_above(bandlimit, epsilon, kernel).max(initial=0))
+    number = shannon_number(bandlimit, half_angle, radially_symmetric=radially_symmetric)
+    k, extent, ratio = bandlimit + 1, _extent(half_angle), math.log((1.0 - epsilon) / epsilon)
+    if extent.boundary > 0.0:
         from scipy.special import loggamma  # takes an eighth of a second to import
 
-        phase = float(loggamma(complex(0.5, ratio / (2.0 * math.pi))).imag)
-        number += k * sine / math.pi**2 * (ratio * math.log(c) - 2.0 * math.pi * phase)
-    return min(max(number, 0.0), float(k * k))
+        phase = 2.0 * math.pi * float(loggamma(complex(0.5, ratio / (2.0 * math.pi))).imag)
+        if radially_symmetric:
+            next_order = 3.0 * ((ratio / math.pi) ** 2 - 1.0) / (16.0 * math.pi * k * math.tan(extent.cap_angle))
+            number += (ratio * math.log(4.0 * k * extent.width) - phase) / (2.0 * math.pi**2)
+            number += min(max(next_order, -0.5), 0.5)
+        else:
+            c = 32.0 * math.exp(-3.0 + _curvature_term(extent.cap_angle)) * k * extent.width
+            number += k * extent.boundary / (2.0 * math.pi**3) * (ratio * math.log(c) - phase)
+    return min(max(number, 0.0), float(k if radially_symmetric else k * k))
+
+
+def szego_number(
+    bandlimit: int,
+    half_angle: float | Region,
+    epsilon: float,
+    *,
+    kernel: ArrayLike | None = None,
+    radially_symmetric: bool = False,
+) -> float:
+    """Eigenvalues of transport above ε of the largest, by Szegő's theorem: linear in the region, no logarithm.
+
+    After Mahajan, Shlizerman, Ramamoorthi & Belhumeur, *A Theory of Locally Low Dimensional Light Transport* (SIGGRAPH
+    2007). What was taken from there is the idea, as their abstract and Lessig & Fiume (2010) tell it: by Szegő's
+    eigenvalue theorem the eigenvalues of the covariance of transport over a patch are spread as the samples of the
+    kernel's power spectrum, so that their number grows with the patch's area (with its width, for shadows' edges). They
+    work in flatland; the form on the sphere is ours: transport with zonal coefficients t_l over the whole sphere has
+    the eigenvalues t_l², 2l + 1 times each, and a patch keeps its share of them,
+
+        (A/4π) Σ_{l ≤ L: t_l² > ε max t²} (2l+1),
+
+    or (Θ/π) times the number of such degrees for radially symmetric signals of a cap. Without a kernel, N.
+
+    Parameters
+    ----------
+    bandlimit, half_angle, radially_symmetric : as in `shannon_number`
+    epsilon : float in (0, 1)
+    kernel : (L+1,) zonal coefficients, optional
+        As `cosine_lobe` gives them; by default all are equal.
+
+    Raises
+    ------
+    UserError
+        An argument outside its range.
+    """
+    degrees = _degrees_above(check_bandlimit(bandlimit), check_epsilon(epsilon), kernel)
+    if radially_symmetric:
+        return degrees.size * (_angle_of_symmetry(half_angle) / math.pi)
+    return float(np.sum(2 * degrees + 1)) * _extent(half_angle).area / (4.0 * math.pi)
+
+
+def concentration_count(
+    bandlimit: int,
+    half_angle: float | Region,
+    epsilon: float,
+    *,
+    kernel: ArrayLike | None = None,
+    radially_symmetric: bool = False,
+) -> int:
+    """The exact number of Slepian functions whose concentration is above ε.
+
+    With a kernel, the number of eigenvalues of transport over the cap that are above ε of the first.
+
+    Parameters
+    ----------
+    bandlimit, half_angle, radially_symmetric : as in `shannon_number`
+        Regions are solved densely, for L up to about 50; see `region_basis`.
+    epsilon : float in (0, 1)
+    kernel : (L+1,) zonal coefficients, optional
+        Of transport over a cap.
+
+    Raises
+    ------
+    UserError
+        An argument outside its range; a kernel, or radial symmetry, on a region that is not given as a half-angle.
+    """
+    epsilon = check_epsilon(epsilon)
+    if kernel is not None:
+        angle = _angle_of_symmetry(half_angle, "eigenvalues of transport")
+        values = cap_basis(bandlimit, angle, kernel=kernel, radially_symmetric=radially_symmetric).eigenvalues
+        return int(np.sum(values > epsilon * values[0]))
+    if radially_symmetric or not isinstance(half_angle, Region):
+        angle = _angle_of_symmetry(half_angle)
+        return len(cap_basis(bandlimit, angle, threshold=epsilon, radially_symmetric=radially_symmetric))
+    if region_area(half_angle) == 0.0:
+        check_bandlimit(bandlimit)
+        return 0
+    return len(region_basis(bandlimit, half_angle, threshold=epsilon))
+
+
+# --- Regions ---------------------------------------------------------------------------------------------------------
+
+
+class _Extent(NamedTuple):
+    """Area, length of the boundary, sin Θ of a cap or its like, and half-angle of the cap of the same area."""
+
+    area: float
+    boundary: float
+    width: float
+    cap_angle: float
+
+
+def _extent(half_angle: float | Region) -> _Extent:
+    if not isinstance(half_angle, Region):
+        angle = check_half_angle(half_angle)
+        return _Extent(cap_area(angle), cap_boundary(angle), math.sin(min(angle, math.pi - angle)), angle)
+    area, boundary = region_area(half_angle), region_boundary(half_angle)
+    share = min(area / (4.0 * math.pi), 1.0)
+    width = 2.0 * area * (1.0 - share) / boundary if boundary > 0.0 else 0.0
+    return _Extent(area, boundary if width > 0.0 else 0.0, width, 2.0 * math.asin(math.sqrt(share)))
+
+
+def _degrees_above(bandlimit: int, epsilon: float, kernel: ArrayLike | None) -> NDArray[np.int64]:
+    """Degrees whose power is above ε of the largest; all of them without a kernel."""
+    power = np.ones(bandlimit + 1) if kernel is None else check_zonal(kernel, bandlimit) ** 2
+    return np.flatnonzero(power > epsilon * power.max())
+
+
+def _angle_of_symmetry(half_angle: float | Region, what: str = "radially symmetric functions") -> float:
+    """The half-angle of a cap, where nothing else will do."""
+    if isinstance(half_angle, Region):
+        raise UserError(f"{what} are those of a cap: give its half_angle in radians, not a region")
+    return check_half_angle(half_angle)
 
 
 def _curvature_term(half_angle: float) -> float:
@@ -71,9 +262,3 @@ def _curvature_term(half_angle: float) -> float:
     # artanh(s) = ln((1 + s)/c) leaves ln c (1/s - 1) of the two divergent logarithms.
     log_cosine = math.log(cosine) if cosine > 0.0 else 0.0
     return 1.0 - math.log1p(sine) / sine + log_cosine * (1.0 - sine) / sine
-
-
-def concentration_count(bandlimit: int, half_angle: float, epsilon: float, *, radially_symmetric: bool = False) -> int:
-    """The exact number of Slepian functions of the cap whose concentration is above ε."""
-    epsilon = check_epsilon(epsilon)
-    return len(cap_basis(bandlimit, half_angle, threshold=epsilon, radially_symmetric=radially_symmetric))

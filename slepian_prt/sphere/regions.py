@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_half_angle
+from slepian_prt.sphere.boundaries import arc_lengths, boundary_length
 from slepian_prt.sphere.caps import angular_distance
 from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.polygons import make_polygon
@@ -34,12 +35,15 @@ class CircleRegion:
         Unit vector next to the smallest part; rules have their rings about it.
     size : float
         How far that part reaches from the pole, radians.
+    whole : bool
+        Whether the arcs bound it on all of their length, as in a cap or polygon that is not combined with another.
     """
 
     arcs: Arcs
     contains: Contains
     pole: NDArray[np.float64]
     size: float
+    whole: bool = True
 
     def __or__(self, other: CircleRegion) -> CircleRegion:
         return self._combined(other, np.logical_or)
@@ -51,7 +55,7 @@ class CircleRegion:
         return self._combined(other, lambda mine, theirs: mine & ~theirs)
 
     def __invert__(self) -> CircleRegion:
-        return CircleRegion(self.arcs, lambda directions: ~self.contains(directions), self.pole, self.size)
+        return replace(self, contains=lambda directions: ~self.contains(directions))
 
     def _combined(self, other: CircleRegion, combine: Callable[[NDArray, NDArray], NDArray]) -> CircleRegion:
         small = min(self, other, key=lambda region: region.size)
@@ -60,11 +64,16 @@ class CircleRegion:
             lambda directions: combine(self.contains(directions), other.contains(directions)),
             small.pole,
             small.size,
+            whole=False,
         )
 
     def rule(self, degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n, 3) directions and (n,) weights, exact to rounding for spherical polynomials up to ``degree``."""
         return region_rule(self.arcs, self.contains, self.pole, degree)
+
+    def boundary(self) -> float:
+        """Length in radians of what separates inside from outside."""
+        return arc_lengths(self.arcs) if self.whole else boundary_length(self.arcs, self.contains)
 
 
 @dataclass(frozen=True)
@@ -95,6 +104,14 @@ class MaskRegion:
         theta, azimuths, weights = spread_nodes(self._strips(degree), degree)
         sine = np.sin(theta)
         return np.column_stack([sine * np.cos(azimuths), sine * np.sin(azimuths), np.cos(theta)]), weights
+
+    def boundary(self) -> float:
+        """As `CircleRegion.boundary`."""
+        height, width = self.mask.shape
+        along_meridians = np.count_nonzero(self.mask != np.roll(self.mask, 1, axis=1)) * math.pi / height
+        changes = np.count_nonzero(self.mask[1:] != self.mask[:-1], axis=1)
+        circles = np.sin(math.pi * np.arange(1, height) / height)
+        return float(along_meridians + changes @ circles * TURN / width)
 
     def _strips(self, degree: int) -> Iterator[Strip]:
         height, width = self.mask.shape
@@ -185,5 +202,26 @@ def mask_region(mask: ArrayLike) -> MaskRegion:
 
 
 def region_area(region: Region) -> float:
-    """Area in steradians."""
-    return float(region.rule(0)[1].sum())
+    """Area in steradians, to rounding of what the boundary encloses.
+
+    Parameters
+    ----------
+    region : from `cap_region` (and ``|``, ``&``, ``-``, ``~``), `polygon_region` or `mask_region`
+    """
+    return float(_check_region(region).rule(0)[1].sum())
+
+
+def region_boundary(region: Region) -> float:
+    """Length of the boundary in radians: of all parts of circles and cell borders with the region on one side only.
+
+    Parameters
+    ----------
+    region : as in `region_area`
+    """
+    return _check_region(region).boundary()
+
+
+def _check_region(region: Region) -> Region:
+    if not isinstance(region, Region):
+        raise UserError(f"region must come from cap_region, polygon_region or mask_region, not {region!r}")
+    return region

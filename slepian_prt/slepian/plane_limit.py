@@ -1,0 +1,136 @@
+"""The concentration problem on the line and on a disc of the plane: what the sphere's becomes on small caps.
+
+Functions of the band |ω| ≤ L are concentrated in |x| ≤ R, frequencies and places being numbers or vectors of the plane.
+Both problems are finite Fourier transforms, of which only the product c = L R counts (Slepian & Pollak 1961 on the
+line, Slepian 1964 on the disc).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.errors import UserError, check_epsilon
+from slepian_prt.sphere.quadrature import gauss_legendre
+from slepian_prt.sphere.rings import nodes_for
+
+_LARGEST = 500.0
+# What is below is rounding of the first one's square root.
+_SMALLEST = 1e-30
+
+
+class DiscSpectrum(NamedTuple):
+    """Concentrations on a disc, largest first, (K,); and the signed order m of each function, (K,) int."""
+
+    eigenvalues: NDArray[np.float64]
+    orders: NDArray[np.int64]
+
+
+def line_concentrations(product: float) -> NDArray[np.float64]:
+    """Concentrations λ of functions of the band |ω| ≤ L in the interval |x| ≤ R, with c = L R; largest first.
+
+    λ = (2c/π) R₀ₙ(c, 1)² of the prolate spheroidal wave functions. Squared singular values of the finite Fourier
+    transform √(c/2π) e^{icxy} on [-1, 1], its even functions by cosines and its odd ones by sines: concentrations are
+    good to 1e-16 of the first down to 1e-32.
+
+    Parameters
+    ----------
+    product : float
+        c in (0, 500]. The paper's Eq. 5 has C̃ = L̃Ũ with the length Ũ = 2R of the whole interval: C̃ = 2c.
+
+    Returns
+    -------
+    (K,) concentrations above 1e-30
+
+    Raises
+    ------
+    UserError
+        A product outside its range.
+    """
+    c = _check_product(product)
+    # Half of the interval is enough: the kernels are even or odd in both variables.
+    x, weights = _half_interval(c)
+    scale = math.sqrt(2.0 * c / math.pi) * np.sqrt(np.outer(weights, weights))
+    parts = [np.linalg.svd(scale * wave(c * np.outer(x, x)), compute_uv=False) ** 2 for wave in (np.cos, np.sin)]
+    values = np.sort(np.concatenate(parts))[::-1]
+    return np.minimum(values[values > _SMALLEST], 1.0)
+
+
+def disc_concentrations(product: float, threshold: float = 1e-12) -> DiscSpectrum:
+    """Concentrations λ of functions of the band |k| ≤ L in the disc |x| ≤ R of the plane, with c = L R.
+
+    For each order m the squared singular values of the finite Hankel transform c J_m(c r s) on [0, 1] with √(r dr)
+    (λ = c γ² of Slepian 1964). The sphere's problem on a cap tends to it as Θ → 0 with (L+1)Θ = c (Simons, Dahlen &
+    Wieczorek 2006, Sec. 5).
+
+    Parameters
+    ----------
+    product : float
+        c in (0, 500].
+    threshold : float in (0, 1)
+        Only concentrations above it: there is no end to them.
+
+    Raises
+    ------
+    UserError
+        An argument outside its range.
+    """
+    from scipy.special import jv  # only here, so that what needs no disc starts without SciPy
+
+    c, threshold = _check_product(product), check_epsilon(threshold, "threshold")
+    r, weights = _half_interval(c)
+    scale = c * np.sqrt(np.outer(weights * r, weights * r))
+    values, orders, m = [np.zeros(0)], [np.zeros(0, dtype=np.int64)], 0
+    while True:
+        found = np.linalg.svd(scale * jv(m, c * np.outer(r, r)), compute_uv=False) ** 2
+        found = found[found > threshold]
+        if not found.size:
+            break
+        for sign in (1,) if m == 0 else (1, -1):
+            values.append(found)
+            orders.append(np.full(found.size, sign * m))
+        m += 1
+    return _largest_first(np.concatenate(values), np.concatenate(orders))
+
+
+def line_number(product: float, epsilon: float) -> float:
+    """Slepian's estimate of the count on the line, the paper's Eq. 5 without its remainder: C̃/π + ln((1-ε)/ε) ln(C̃)/π².
+
+    C̃ = 2c: the band's limit |ω| ≤ L̃, one side of it, times the length Ũ of the whole interval, and natural logarithms
+    (Landau & Widom 1980); with C̃ = c, or the band's whole width 2L̃ for L̃, the first term is off by a factor of two.
+
+    Parameters
+    ----------
+    product : float
+        c, half of C̃, in (0, 500].
+    epsilon : float in (0, 1)
+    """
+    region, epsilon = 2.0 * _check_product(product), check_epsilon(epsilon)
+    return region / math.pi + math.log((1.0 - epsilon) / epsilon) * math.log(region) / math.pi**2
+
+
+def _check_product(product: float) -> float:
+    try:
+        c = float(product)
+    except (TypeError, ValueError):
+        c = math.nan
+    if not 0.0 < c <= _LARGEST:
+        raise UserError(
+            f"product must be a number in (0, {_LARGEST:g}], the bandlimit times the radius, not {product!r}"
+        )
+    return c
+
+
+def _half_interval(c: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Gauss nodes and weights on [0, 1] for products of two waves of c radians."""
+    rule = gauss_legendre(nodes_for(2.0 * c))
+    return 0.5 * (1.0 + rule.nodes), 0.5 * rule.weights
+
+
+def _largest_first(eigenvalues: NDArray, orders: NDArray) -> DiscSpectrum:
+    """Of equal ones that of order m comes before that of -m."""
+    index = np.lexsort((orders < 0, np.abs(orders), -eigenvalues))
+    return DiscSpectrum(np.minimum(eigenvalues[index], 1.0), orders[index])
