@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.sphere.directions import check_directions
-from slepian_prt.sphere.harmonics import real_sh
+from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients, real_sh
+from slepian_prt.sphere.quadrature import gauss_legendre
 
 # Directions are below the horizon from here on: rotated ones on it are off by rounding.
 _HORIZON = -8.0 * float(np.finfo(np.float64).eps)
@@ -109,6 +110,39 @@ def h_basis_in_sh(count: int) -> NDArray[np.float64]:
     for product, single in ((5, 1), (7, 3)):
         rows[product, [single, product]] = -0.375 * math.sqrt(640.0 / 19.0), math.sqrt(128.0 / 19.0)
     return rows[list(_SIX)] if count == 6 else rows[:count]
+
+
+def sh_over_hemisphere(bandlimit: int, hemispherical_bandlimit: int) -> NDArray[np.float64]:
+    """Integrals ∫ y_i h_j over the hemisphere z >= 0 of spherical and hemispherical harmonics.
+
+    Functions of different m are orthogonal. For the others Gauss's rule in u = √(cos θ), in which the product is a
+    polynomial times √(1 + u²)^m: it converges like (1 + √2)^(-2n), to rounding with the nodes taken.
+
+    Parameters
+    ----------
+    bandlimit, hemispherical_bandlimit : int
+        L and H.
+
+    Returns
+    -------
+    ((L+1)², (H+1)²) array
+    """
+    bandlimit = check_bandlimit(bandlimit)
+    highest = check_bandlimit(hemispherical_bandlimit, "hemispherical_bandlimit")
+    rule = gauss_legendre(bandlimit + highest + 24)
+    u, weights = 0.5 * (1.0 + rule.nodes), 0.5 * rule.weights
+    z = u * u
+    integrals = np.zeros((num_coefficients(bandlimit), num_coefficients(highest)))
+    for m in range(min(bandlimit, highest) + 1):
+        # sin^m θ sin^m θ', and dz = 2u du.
+        ring = (2.0 * u * (1.0 - z) * np.sqrt(1.0 + z)) ** m * (2.0 * u * weights)
+        spherical = legendre_polynomials(bandlimit, m, z) * ring
+        hemispherical = math.sqrt(2.0) * legendre_polynomials(highest, m, 2.0 * z - 1.0)
+        block = (np.pi if m else 2.0 * np.pi) * (spherical @ hemispherical.T)
+        rows, columns = np.arange(m, bandlimit + 1), np.arange(m, highest + 1)
+        for order in {m, -m}:
+            integrals[np.ix_(rows * (rows + 1) + order, columns * (columns + 1) + order)] = block
+    return integrals
 
 
 def _check_upper(directions: ArrayLike) -> NDArray[np.float64]:

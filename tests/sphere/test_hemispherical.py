@@ -6,7 +6,7 @@ import pytest
 
 from slepian_prt.errors import UserError
 from slepian_prt.sphere.harmonics import num_coefficients, orders, real_sh
-from slepian_prt.sphere.hemispherical import h_basis, h_basis_in_sh, hemispherical_sh
+from slepian_prt.sphere.hemispherical import h_basis, h_basis_in_sh, hemispherical_sh, sh_over_hemisphere
 from slepian_prt.sphere.quadrature import cap_rule, gauss_legendre, sphere_rule
 from tests.numerics import assert_rounded
 
@@ -153,3 +153,17 @@ def test_below_the_horizon_is_told(evaluate):
 def test_other_counts_are_told(count):
     with pytest.raises(UserError, match="count must be 4, 6 or 9, not"):
         h_basis(count, [0, 0, 1])
+
+
+@pytest.mark.parametrize(("bandlimit", "hemispherical"), [(0, 0), (10, 4), (3, 12), (25, 25)])
+def test_integrals_of_both_kinds(bandlimit, hemispherical):
+    directions, weights = hemisphere_rule(2 * (bandlimit + hemispherical) + 40, bandlimit + hemispherical + 2)
+    expected = (real_sh(bandlimit, directions) * weights[:, None]).T @ hemispherical_sh(hemispherical, directions)
+    np.testing.assert_allclose(sh_over_hemisphere(bandlimit, hemispherical), expected, atol=1e-13)
+
+
+def test_integrals_of_the_first_functions():
+    """∫ y_00 h_00 = √2/2, and y_10 = √(3/4π) z meets h_00 in √(3/4π) π/√(2π)."""
+    integrals = sh_over_hemisphere(1, 1)
+    assert integrals[0, 0] == pytest.approx(math.sqrt(0.5), rel=8 * EPSILON)
+    assert integrals[2, 0] == pytest.approx(math.sqrt(0.75 / np.pi) * np.pi / math.sqrt(2.0 * np.pi), rel=8 * EPSILON)
