@@ -1,4 +1,4 @@
-"""Transfer as hemispherical harmonics about the normal of each vertex: another way to use that light comes from above."""
+"""Transfer as hemispherical harmonics about the normals of vertices, another way to use that light comes from above."""
 
 from __future__ import annotations
 
