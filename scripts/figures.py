@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from drawing import COLORS, ROOT, save, write
 from paper.counts import shannon
+from paper.hemispherical import hemispherical
 from paper.occlusion import paper_figure_4
 from paper.spectra import functions, paper_figure_2, paper_figure_3
 
@@ -209,6 +210,7 @@ FIGURE_MAKERS = {
     "paper_figure_4": paper_figure_4,
     "functions": functions,
     "shannon": shannon,
+    "hemispherical": hemispherical,
     "workers": workers,
 }
 
