@@ -16,6 +16,7 @@ from paper.counts import shannon
 from paper.hemispherical import hemispherical
 from paper.occlusion import paper_figure_4
 from paper.spectra import functions, paper_figure_2, paper_figure_3
+from paper.torrance_sparrow import torrance_sparrow
 
 import slepian_prt as sp
 from slepian_prt.evaluation.compare import compare
@@ -211,6 +212,7 @@ FIGURE_MAKERS = {
     "functions": functions,
     "shannon": shannon,
     "hemispherical": hemispherical,
+    "torrance_sparrow": torrance_sparrow,
     "workers": workers,
 }
 
