@@ -13,8 +13,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from drawing import COLORS, ROOT, save, write
 from paper.counts import shannon
+from paper.grouping import grouping
 from paper.hemispherical import hemispherical
 from paper.occlusion import paper_figure_4
+from paper.sampling import sampling
 from paper.spectra import functions, paper_figure_2, paper_figure_3
 from paper.torrance_sparrow import torrance_sparrow
 
@@ -212,6 +214,8 @@ FIGURE_MAKERS = {
     "functions": functions,
     "shannon": shannon,
     "hemispherical": hemispherical,
+    "grouping": grouping,
+    "sampling": sampling,
     "torrance_sparrow": torrance_sparrow,
     "workers": workers,
 }
