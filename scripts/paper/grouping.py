@@ -12,27 +12,32 @@ from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.evaluation.metrics import relative_rms
 
 BANDLIMIT, TERMS, TOLERANCES = 10, 16, (0.05, 0.02)
-BASES = ("slepian", "transport", "adapted", "pca")
+BASES = ("slepian", "adapted", "pca")
+CODED = ("adapted", "pca")
 GROUPINGS = (("normal", 96), ("surface", 96), ("surface", 384))
 
 
 def grouping() -> None:
     """Caps of normals and geodesic cells: how wide they are, errors at equal K, and bytes at equal tolerance."""
-    errors = " | ".join(f"`{basis}`" for basis in BASES)
-    print(f"| model | grouped by | cells | half-angle, mean | {errors}, {TERMS} functions | bytes at 5 %, 2 % |")
-    print("| --- " * (5 + len(BASES)) + "|")
+    errors = " | ".join(f"`{basis}`, K = {TERMS}" for basis in BASES)
+    sizes = " | ".join(f"bytes of `{basis}` at 5 %, 2 %" for basis in CODED)
+    print(f"| model | grouped by | cells | mean half-angle | {errors} | {sizes} |")
+    print("| --- " * (4 + len(BASES) + len(CODED)) + "|")
     for model in models("skull", "nefertiti"):
         transfer = sp.precompute(model.mesh, BANDLIMIT, 1024)
         for group_by, count in GROUPINGS:
             groups = group_transfer(CompressionSettings(group_by=group_by, clusters=count), transfer)
-            found = " | ".join(f"{error:.1%}" for error in (_error(transfer, groups, basis) for basis in BASES))
-            packed = (sp.compress(transfer, tolerance=tolerance, clusters=groups) for tolerance in TOLERANCES)
-            sizes = ", ".join(f"{each.bytes_per_vertex:.2f}" for each in packed)
-            name = model.name.split(",")[0]
-            angle = np.degrees(_mean_half_angle(groups))
+            found = " | ".join(f"{_error(transfer, groups, basis):.1%}" for basis in BASES)
+            coded = " | ".join(_sizes(transfer, groups, basis) for basis in CODED)
+            name, angle = model.name.split(",")[0], np.degrees(_mean_half_angle(groups))
             print(
-                f"| {name} | {group_by} | {len(groups.clusters.caps)} | {angle:.0f}° | {found} | {sizes} |", flush=True
+                f"| {name} | {group_by} | {len(groups.clusters.caps)} | {angle:.0f}° | {found} | {coded} |", flush=True
             )
+
+
+def _sizes(transfer: sp.Transfer, groups: Grouping, basis: str) -> str:
+    packed = (sp.compress(transfer, basis, tolerance=tolerance, clusters=groups) for tolerance in TOLERANCES)
+    return ", ".join(f"{each.bytes_per_vertex:.2f}" for each in packed)
 
 
 def _error(transfer: sp.Transfer, groups: Grouping, basis: str) -> float:
