@@ -20,8 +20,8 @@ LEAST = 0.95
 def torrance_sparrow() -> None:
     """Part of the lobe of Mitsuba's roughconductor that is radially symmetric, at outgoing angles up to 80°."""
     figure, axes = plt.subplots(2, 1, figsize=(7.2, 8.0), sharex=True, sharey=True, gridspec_kw={"hspace": 0.18})
-    print("| distribution | α | below 95 % about the reflection direction | about the best axis |")
-    print("| --- | --- | --- | --- |")
+    print("| distribution | α | below 95 % about the reflection direction | about the best axis | at 80°, of either |")
+    print("| --- | --- | --- | --- | --- |")
     with mitsuba() as mi:
         for axis, distribution in zip(axes, DISTRIBUTIONS, strict=True):
             for alpha, color in zip(ALPHAS, COLORS, strict=False):
@@ -35,7 +35,7 @@ def torrance_sparrow() -> None:
                 axis.plot(ANGLES, 100 * best, "-", color=color, label=f"α = {alpha:g}, best axis")
                 axis.plot(ANGLES, 100 * mirror, "--", color=color, label=f"α = {alpha:g}, reflection direction")
                 told = " | ".join(_told(falls_below(ANGLES, parts, LEAST)) for parts in (mirror, best))
-                print(f"| {distribution} | {alpha:g} | {told} |")
+                print(f"| {distribution} | {alpha:g} | {told} | {mirror[-1]:.0%}, {best[-1]:.0%} |")
             axis.axhline(100 * LEAST, color="#555555", linewidth=0.8, linestyle=":")
             axis.set(title=distribution, ylabel="energy that is symmetric, %", ylim=(0, 102))
             axis.grid(True, color="#dddddd", linewidth=0.6)
