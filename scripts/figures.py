@@ -13,8 +13,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 from drawing import COLORS, ROOT, save, write
 from paper.counts import shannon
+from paper.grouping import grouping
+from paper.hemispherical import hemispherical
 from paper.occlusion import paper_figure_4
+from paper.sampling import sampling
 from paper.spectra import functions, paper_figure_2, paper_figure_3
+from paper.torrance_sparrow import torrance_sparrow
 
 import slepian_prt as sp
 from slepian_prt.evaluation.compare import compare
@@ -209,6 +213,10 @@ FIGURE_MAKERS = {
     "paper_figure_4": paper_figure_4,
     "functions": functions,
     "shannon": shannon,
+    "hemispherical": hemispherical,
+    "grouping": grouping,
+    "sampling": sampling,
+    "torrance_sparrow": torrance_sparrow,
     "workers": workers,
 }
 

@@ -46,6 +46,8 @@ from .slepian.shannon import shannon_number as shannon_number
 from .slepian.shannon import szego_number as szego_number
 from .sphere.caps import minimal_enclosing_cap as minimal_enclosing_cap
 from .sphere.harmonics import real_sh as real_sh
+from .sphere.hemispherical import h_basis as h_basis
+from .sphere.hemispherical import hemispherical_sh as hemispherical_sh
 from .sphere.regions import cap_region as cap_region
 from .sphere.regions import mask_region as mask_region
 from .sphere.regions import polygon_region as polygon_region

@@ -19,6 +19,7 @@ from slepian_prt.compression.stream import USUAL_TERMS, compress
 from slepian_prt.compression.terms_sweep import compress_to_terms
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.baselines import D3DX_TERMS, d3dx_transfer, haar_transfer
+from slepian_prt.evaluation.hemispherical_transfer import hemispherical_transfer
 from slepian_prt.lighting.spectrum import measured_prior
 from slepian_prt.relighting.relight import relight
 from slepian_prt.transport.transfer import Transfer
@@ -235,6 +236,14 @@ def _haar(work: Workload) -> Iterator[MethodRun]:
         yield MethodRun("haar", "8 bits", k, k, wavelets, time.perf_counter() - begin)
 
 
+def _hsh(work: Workload) -> Iterator[MethodRun]:
+    for k in work.terms:
+        work.report(f"hsh, {k} terms")
+        begin = time.perf_counter()
+        held = hemispherical_transfer(work.transfer, k)
+        yield MethodRun("hsh", "float16", held.terms, k, held, time.perf_counter() - begin)
+
+
 def _d3dx(work: Workload) -> Iterator[MethodRun]:
     work.report("d3dx")
     begin = time.perf_counter()
@@ -306,6 +315,12 @@ METHODS = {
         CurveStyle("#7F7F7F", "p", "--"),
         _haar,
         cost=5.5,
+    ),
+    "hsh": Method(
+        "hemispherical harmonics about each vertex's own normal (Gautron 2004), into whose frame all light is turned",
+        CurveStyle("#5E3C99", "d", "-"),
+        _hsh,
+        cost=25.0,
     ),
     "d3dx": Method(
         "what Direct3D's library recommends: degrees up to 5, cpca with 24 terms",

@@ -59,7 +59,7 @@ def test_comparisons(crew):
     options = {
         "transport": TransportSettings(bandlimit=4, samples=64),
         "grouping": CompressionSettings(clusters=8),
-        "methods": ("adapted", "sh", "d3dx", "cpca"),
+        "methods": ("adapted", "sh", "hsh", "d3dx", "cpca"),
         "terms": (4, 9),
         "width": 48,
         "noise": 0.05,
