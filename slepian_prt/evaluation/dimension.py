@@ -143,9 +143,7 @@ def effective_dimension(
     with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
         dimension, counts = _over_surface(surface, vectors, error, advance)
     functions = num_coefficients(transfer.bandlimit)
-    return EffectiveDimension(
-        dimension, functions, error, radius, neighbourhood, surface.areas, int(np.median(counts))
-    )
+    return EffectiveDimension(dimension, functions, error, radius, neighbourhood, surface.areas, int(np.median(counts)))
 
 
 def _over_surface(

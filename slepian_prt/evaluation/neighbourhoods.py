@@ -115,7 +115,7 @@ def vertex_areas(mesh: Mesh) -> NDArray[np.float64]:
     """(V,) a third of the area of the faces about each vertex."""
     a, b, c = (mesh.positions[mesh.faces[:, corner]] for corner in range(3))
     thirds = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
-    return np.bincount(mesh.faces.ravel(), np.repeat(thirds, 3), minlength=len(mesh.positions))
+    return np.bincount(mesh.faces.ravel(), np.repeat(thirds, 3), minlength=len(mesh.positions)).astype(np.float64)
 
 
 def copies_at_one_place(receivers: Receivers) -> NDArray[np.int64]:
@@ -126,4 +126,3 @@ def copies_at_one_place(receivers: Receivers) -> NDArray[np.int64]:
     same = np.all(positions[first] == positions[second], axis=1)
     same &= np.sum(normals[first] * normals[second], axis=1) > _OPPOSITE
     return np.stack([first[same], second[same]], axis=1)
-
