@@ -178,7 +178,7 @@ def dimension_of_vectors(vectors: NDArray, weights: NDArray, error: float) -> fl
         Not negative: what each counts, as the area that it stands for.
     error : float
     """
-    rows = vectors.reshape(len(vectors), -1, vectors.shape[-1])
+    rows = vectors if vectors.ndim == 3 else vectors[:, None]
     seen = np.flatnonzero(weights > 0.0)
     rows, roots = rows[seen], np.sqrt(weights[seen])[:, None, None]
     size = rows.shape[0] * rows.shape[1]
