@@ -183,7 +183,7 @@ def dimension_of_vectors(vectors: NDArray, weights: NDArray, error: float) -> fl
     rows, roots = rows[seen], np.sqrt(weights[seen])[:, None, None]
     size = rows.shape[0] * rows.shape[1]
     if size <= rows.shape[2]:
-        few = (rows * roots).reshape(size, -1)
+        few = (rows * roots).reshape(size, rows.shape[2])
         moment = few @ few.T
     else:
         moment = np.zeros((rows.shape[2], rows.shape[2]))
