@@ -18,7 +18,7 @@ _ITERATIONS = 30
 # Few enough for a core's own cache, and for BLAS not to start threads, which together took twice as long.
 _AXES_AT_A_TIME = 1024
 _PATCH_ITERATIONS = 6
-_DIRECTIONS_OF_CELL = 64
+_DIRECTIONS_OF_CELL, _LEAST_DIRECTIONS = 64, 1 << 13
 
 # Sites are directions in 1/2^14, axes count in 1/2^20: products are whole numbers below 2^36, exact in float64.
 _SITE = 1 << 14
@@ -130,9 +130,9 @@ def clusters_of_sites(sites: NDArray[np.int16], axes: NDArray) -> Clusters:
 def half_angles_of_cells(sites: NDArray[np.int16]) -> NDArray[np.float64]:
     """(n,) how far from its middle, in radians, each cell of all directions reaches that are nearest to one site.
 
-    Of directions that are close enough for a degree.
+    Told by directions about a fifth of a cell apart, or two degrees, so that it is short by less than that.
     """
-    directions = spherical_fibonacci(_DIRECTIONS_OF_CELL * len(sites))
+    directions = spherical_fibonacci(max(_DIRECTIONS_OF_CELL * len(sites), _LEAST_DIRECTIONS))
     index = _assigned(directions, sites)
     sums = np.stack([np.bincount(index, axis, minlength=len(sites)) for axis in directions.T], axis=1)
     length = np.linalg.norm(sums, axis=1, keepdims=True)

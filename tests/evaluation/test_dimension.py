@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -232,6 +233,12 @@ def test_dark_and_unused_vertices_count_for_nothing(ball):
     found = effective_dimension(stray, neighbourhood=0.2)
     assert found.dimension[-1] == 0.0
     assert found.radius == result.radius  # no face uses it: the model is no larger
+
+
+def test_pixels_of_a_camera_are_no_surface(ball):
+    pixels = replace(ball, film=SimpleNamespace(name="front"))
+    with pytest.raises(sp.UserError, match=r"pixels of camera 'front', which are no surface .* precompute the scene"):
+        effective_dimension(pixels)
 
 
 def test_quantiles_are_of_the_area():
