@@ -15,7 +15,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from paper import pit
-from paper.dimension import dimension, dimensions
+from paper.dimension import dimension
 from paper.empirical import empirical_spectrum
 
 import slepian_prt as sp
@@ -417,7 +417,6 @@ FIGURE_MAKERS = {
     "paper_figure_4": paper_figure_4,
     "functions": functions,
     "dimension": dimension,
-    "dimensions": dimensions,
     "shannon": shannon,
     "workers": workers,
 }

@@ -1,12 +1,8 @@
-"""What the paper is about, on models: the effective dimension of light transport over neighbourhoods of a surface."""
+"""What the paper is about, on a model: the effective dimension of light transport over neighbourhoods of a surface."""
 
 from __future__ import annotations
 
 import math
-import os
-import time
-from collections.abc import Iterator
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -45,30 +41,6 @@ def dimension() -> None:
     bar.set_title("effective dimension of light transport around each point", fontsize=12)
     bar.set_xlabel(describe_scale(results[1]), fontsize=11)
     save(figure, "dimension")
-
-
-def dimensions() -> None:
-    """The same for scans, where there are some: medians and seconds, on decoded transfer and on a whole one."""
-    print("| model | vertices | L | median dimension, coherence | 5 % of the surface | by normals alone | seconds |")
-    print("| --- | --- | --- | --- | --- | --- | --- |")
-    for name, path in _models():
-        for bandlimit in (5, 10, 20):
-            traced, open_ = sp.precompute(path, bandlimit), sp.precompute(path, bandlimit, effects="none")
-            begun = time.perf_counter()
-            result = sp.effective_dimension(traced)
-            seconds = time.perf_counter() - begun
-            alone = sp.effective_dimension(open_).quantile(0.5)
-            print(
-                f"| {name} | {len(traced.vectors)} | {bandlimit} | {_in_words(result)} | {_ends(result)} "
-                f"| {alone:.1f} | {seconds:.1f} |"
-            )
-
-
-def _models() -> Iterator[tuple[str, Path]]:
-    yield "knot", ROOT / "scenes" / "knot.ply"
-    folder = os.environ.get("SLEPIAN_PRT_DATA")
-    for name in ("skull", "nefertiti") if folder else ():
-        yield name, Path(str(folder)) / "meshes" / f"{name}.ply"
 
 
 def _in_words(result: sp.EffectiveDimension) -> str:

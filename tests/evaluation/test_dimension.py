@@ -14,6 +14,7 @@ from slepian_prt.evaluation.dimension import (
     dimension_of_vectors,
     effective_dimension,
 )
+from slepian_prt.evaluation.neighbourhoods import Surface
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from slepian_prt.slepian.kernels import zonal_vectors
 from slepian_prt.transport.transfer import Transfer
@@ -155,10 +156,18 @@ def test_a_turned_model_differs_by_where_neighbourhoods_are_taken(ball, rng):
     turn *= np.linalg.det(turn)
     mesh = make_mesh(ball.positions @ turn.T, ball.mesh.faces, normals=ball.normals @ turn.T)
     vectors = sp.rotate_sh(ball.vectors[:, 0].astype(np.float64), turn)[:, None]
-    found = effective_dimension(ball, neighbourhood=0.1)
-    radius_kept = 0.1 * size_of(ball.mesh) / size_of(mesh)  # the box of a turned model is another one
-    again = effective_dimension(transfer_of(mesh, vectors, 6), neighbourhood=radius_kept)
-    _assert_interpolated(again.dimension, found.dimension)
+    turned, radius = transfer_of(mesh, vectors, 6), 0.1 * size_of(ball.mesh)
+    here, there = Surface(ball.mesh, radius), Surface(mesh, radius)
+    for vertex in range(0, len(ball.vectors), 100):
+        own, same = here.about(vertex), there.about(vertex)
+        assert set(own.members.tolist()) == set(same.members.tolist())
+        # To the rounding of float32, of vectors whose relative change of 6e-8 is far below the part 0.0025 left.
+        assert dimension_of_vectors(turned.vectors[same.members], same.areas, 0.05) == pytest.approx(
+            dimension_of_vectors(ball.vectors[own.members], own.areas, 0.05), rel=1e-4
+        )
+    kept = radius / size_of(mesh)  # the box of a turned model is another one
+    again = effective_dimension(turned, neighbourhood=kept).dimension
+    _assert_interpolated(again, effective_dimension(ball, neighbourhood=0.1).dimension)
 
 
 def test_it_is_that_of_the_neighbourhood_of_each_vertex(ball, rng):
@@ -210,7 +219,7 @@ def _assert_interpolated(actual: np.ndarray, expected: np.ndarray) -> None:
     """The same field, taken at other sites: off by some per cent in the mean, as between sites and in them."""
     off = np.abs(actual - expected) / expected
     assert np.sqrt(np.mean(off**2)) < 0.06
-    assert off.max() < 0.3
+    assert np.quantile(off, 0.99) < 0.2
 
 
 def test_three_channels_and_what_is_compressed(ball):
