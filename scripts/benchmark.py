@@ -9,6 +9,7 @@ from benchmarks.accuracy import accuracy
 from benchmarks.all_views import all_views
 from benchmarks.compression import compression
 from benchmarks.datasets import datasets
+from benchmarks.dimension import dimension
 from benchmarks.files import files
 from benchmarks.gpu import gpu
 from benchmarks.page_files import page_files
@@ -38,6 +39,7 @@ BENCHMARKS = {
     "gpu": gpu,
     "accuracy": accuracy,
     "datasets": datasets,
+    "dimension": dimension,
     "paths": paths,
     "pages": pages,
     "page_files": page_files,

@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from drawing import COLORS, ROOT, save, write
 from paper.counts import shannon
+from paper.dimension import dimension
 from paper.grouping import grouping
 from paper.hemispherical import hemispherical
 from paper.occlusion import paper_figure_4
@@ -212,6 +213,7 @@ FIGURE_MAKERS = {
     "paper_figure_3": paper_figure_3,
     "paper_figure_4": paper_figure_4,
     "functions": functions,
+    "dimension": dimension,
     "shannon": shannon,
     "hemispherical": hemispherical,
     "grouping": grouping,

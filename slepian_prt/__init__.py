@@ -55,6 +55,8 @@ Counting functions
     line_concentrations             Concentrations of functions on the line, in an interval.
     line_number                     Slepian's estimate of how many of them are above a threshold.
     disc_concentrations             Concentrations on a disc of the plane, the limit of small caps.
+    effective_dimension             How many functions light transport takes around each vertex of a model.
+    EffectiveDimension              The result: for each vertex, with quantiles by area.
 Plots
     plot_picture                    A relit model, on Matplotlib axes.
     plot_errors                     Errors that `slepian-prt compare` measured, against bytes or functions.

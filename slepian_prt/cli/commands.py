@@ -9,7 +9,9 @@ from importlib import import_module
 import click
 
 # Each is a function of its name in the file of its name.
-COMMANDS = ("capture", "compare", "doctor", "export", "info", "precompute", "relight", "spectrum", "sweep", "view")
+COMMANDS = (
+    "capture", "compare", "dimension", "doctor", "export", "info", "precompute", "relight", "spectrum", "sweep", "view",
+)  # fmt: skip
 
 
 class _Commands(click.Group):

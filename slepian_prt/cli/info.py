@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import sys
 import textwrap
@@ -13,6 +14,7 @@ import click
 from slepian_prt.cli.commands import with_flags
 from slepian_prt.cli.options import file_argument, json_option
 from slepian_prt.cli.values import read_transfer
+from slepian_prt.errors import UserError
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -21,10 +23,19 @@ if TYPE_CHECKING:
 @click.command()
 @file_argument
 @json_option
-def info(file: str, as_json: bool) -> None:
-    """What a transfer FILE holds, what was simulated, and what error to expect."""
+@click.option("--caps", "by_cap", is_flag=True, help="Effective dimension of the transport in each cap; decodes all.")
+@click.option("--error", type=float, metavar="E", help="With --caps: what that leaves, relative.  [default: 0.05]")
+def info(file: str, as_json: bool, by_cap: bool, error: float | None) -> None:
+    """What a transfer FILE holds, what was simulated, and what error to expect; or what its caps are like."""
+    if error is not None and not by_cap:
+        raise UserError("`error` is about the dimension in caps; give --caps too")
     packed = read_transfer(file, check=False)
     content = _content(packed)
+    if by_cap:
+        from slepian_prt.cli.caps import print_caps
+
+        print_caps(packed, 0.05 if error is None else error, content if as_json else None)
+        return
     if as_json:
         effects = [
             {**effect.as_dict(), "name": with_flags(effect.name), "reason": with_flags(effect.reason)}
@@ -34,7 +45,7 @@ def info(file: str, as_json: bool) -> None:
         return
     from slepian_prt.cli.terminal import print_plan
 
-    known = {name: value for name, value in (content | _in_words(packed)).items() if value is not None}
+    known = {name: value for name, value in (content | _in_words(packed, content)).items() if value is not None}
     width = max(map(len, known)) + 1
     for name, value in known.items():
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
@@ -71,6 +82,7 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "toward_camera": packed.toward_view,
         "lamps": list(packed.lamp_names) or None,
         "clusters": packed.cap_count,
+        "effective_dimension": None if film is not None else _dimension(packed),
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
         "mesh_bytes_per_vertex": packed.mesh_bytes_per_vertex,
@@ -91,7 +103,19 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
     }
 
 
-def _in_words(packed: CompressedTransfer) -> dict[str, str | None]:
+def _dimension(packed: CompressedTransfer) -> dict[str, Any]:
+    """By the paper, of a cap of the median size."""
+    from slepian_prt.evaluation.cap_dimensions import EPSILON, count_concentrations
+
+    return {
+        "count": count_concentrations(packed.bandlimit, packed.typical_half_angle),
+        "functions": (packed.bandlimit + 1) ** 2,
+        "half_angle_degrees": math.degrees(packed.typical_half_angle),
+        "epsilon": EPSILON,
+    }
+
+
+def _in_words(packed: CompressedTransfer, content: dict[str, Any]) -> dict[str, str | None]:
     """What JSON has as lists and tables."""
     held_out = max(1, packed.verified_vertices)
     left_out = (
@@ -99,8 +123,14 @@ def _in_words(packed: CompressedTransfer) -> dict[str, str | None]:
         for name, counts in packed.verified_left_out.items()
         for which, count in counts.items()
     )
+    dimension = content["effective_dimension"]
     return {
         "lamps": ", ".join(packed.lamp_names) or None,
+        "effective_dimension": dimension
+        and (
+            "median {count} of {functions} (coherence {coherence:.2f}), by the paper for caps of "
+            "{half_angle_degrees:.0f} degrees; --caps measures it"
+        ).format(**dimension, coherence=1.0 - dimension["count"] / dimension["functions"]),
         "seconds": ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items()),
         "verified_error": ", ".join(f"{name} {error:.4g}" for name, error in packed.verified.items()) or None,
         "verified_left_out": ", ".join(left_out) or None,

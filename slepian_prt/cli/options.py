@@ -47,8 +47,8 @@ def noise_option(default: float) -> Decorator:
     return click.option("--noise", default=default, show_default=True, callback=check_noise, help=text)
 
 
-# How pictures are taken: the fields of `Aim`; and how they are shown: those of `Finish`.
-picture_options = together(
+# How pictures are taken: the fields of `Aim`.
+camera_options = together(
     click.option(
         "--look-at",
         nargs=2,
@@ -63,6 +63,11 @@ picture_options = together(
         type=click.Choice(["y", "z"]),
         help="What is up in the picture, and where the sky of a map is: z for most scans.  [default: y]",
     ),
+)
+
+# The same, and how they are shown: the fields of `Finish`.
+picture_options = together(
+    camera_options,
     click.option(
         "--background",
         metavar="COLOUR|map|transparent",

@@ -188,6 +188,11 @@ class CompressedTransfer(Summarised):
         """Number of caps."""
         return self._outline.caps
 
+    @cached_property
+    def typical_half_angle(self) -> float:
+        """Median half-angle of the caps, in radians."""
+        return float(np.median([cap.half_angle for cap in self.clusters.caps]))
+
     @property
     def lamp_names(self) -> tuple[str, ...]:
         """Of the scene's lamps."""

@@ -1,6 +1,7 @@
 """`info` of a coarse mesh: notes of the mesh, and what is lost between its vertices."""
 
 import json
+import math
 import re
 import sys
 from dataclasses import replace
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 import trimesh
 
+import slepian_prt as sp
 from slepian_prt.cli import main
 from slepian_prt.compression.files.prt_file import load
+from slepian_prt.evaluation.cap_dimensions import cap_dimensions
 from tests.terminal import run_in_terminal
 
 
@@ -77,3 +80,47 @@ def test_it_fits_a_terminal(coarse):
     words = plain.split()
     for word in ("interpolated", "subdivide", "orientation;", "consistent", "rays"):
         assert word in words
+
+
+def test_the_dimension_of_the_whole_and_of_each_cap(coarse, capsys):
+    """Plain, by the paper; with --caps as measured, a line for each cap and one for all; as JSON both."""
+    assert main(["info", str(coarse), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["effective_dimension"]
+    assert (told["functions"], told["epsilon"]) == (9, 0.01)
+    assert told["count"] == sp.concentration_count(2, math.radians(told["half_angle_degrees"]), 0.01)
+    assert main(["info", str(coarse)]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("effective_dimension "))
+    assert line.split(maxsplit=1)[1] == (
+        f"median {told['count']} of 9 (coherence {1 - told['count'] / 9:.2f}), by the paper for caps of "
+        f"{told['half_angle_degrees']:.0f} degrees; --caps measures it"
+    )
+    expected = cap_dimensions(load(coarse), 0.1)
+    assert main(["info", str(coarse), "--caps", "--error", "0.1", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["error"] == 0.1
+    assert [(row["cap"], row["vertices"], row["by_the_paper"]) for row in content["caps"]] == [
+        (row.cap, row.vertices, row.expected) for row in expected
+    ]
+    assert [row["dimension"] for row in content["caps"]] == pytest.approx([row.dimension for row in expected], rel=1e-9)
+    assert [row["half_angle_degrees"] for row in content["caps"]] == pytest.approx(
+        [math.degrees(row.half_angle) for row in expected], rel=1e-12
+    )
+    assert main(["info", str(coarse), "--caps", "--error", "0.1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["cap", "vertices", "half-angle", "by", "the", "paper", "dimension", "coherence"]
+    assert len(lines) == len(expected) + 2
+    assert lines[1].split()[-2:] == [f"{expected[0].dimension:.1f}", f"{expected[0].coherence:.2f}"]
+    middle = math.ceil(np.median([row.dimension for row in expected]))
+    assert lines[-1].startswith(f"a cap has effective dimension {middle} of 9, coherence {1 - middle / 9:.2f} (the med")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--error", "0.1"], "--error is about the dimension in caps; give --caps too"),
+        (["--caps", "--error", "1"], "--error must be a number in [1e-05, 1), not 1.0"),
+    ],
+)
+def test_errors_that_make_no_sense(coarse, capsys, options, said):
+    assert main(["info", str(coarse), *options]) == 2
+    assert capsys.readouterr().err == f"slepian-prt: {said}\n"

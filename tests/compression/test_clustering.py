@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from slepian_prt.compression.clustering import cluster_axes, cluster_by_occlusion, cluster_surface, clusters_of_sites
+from slepian_prt.compression.clustering import (
+    cluster_axes,
+    cluster_by_occlusion,
+    cluster_surface,
+    clusters_of_sites,
+    half_angles_of_cells,
+)
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.sphere.caps import angular_distance
 from tests.conftest import bumpy, random_directions, sphere
@@ -68,6 +74,25 @@ def test_the_index_is_told_from_normals_in_float32_alone(rng):
     sites = np.array([[1 << 14, 0, 0], [0, 1 << 14, 0]], dtype=np.int16)
     half_way = np.array([[1.0, 1.0, 0.3]]) / np.sqrt(2.09)
     assert clusters_of_sites(sites, half_way).index.tolist() == [0]
+
+
+def test_cells_of_six_sites_are_the_faces_of_a_cube():
+    """Their corners are arccos(1/√3) from the middle; of the directions that tell it, one is within 2.5 degrees."""
+    sites = np.concatenate([np.eye(3), -np.eye(3)]) * 16384
+    found = half_angles_of_cells(sites.astype(np.int16))
+    corner = np.arccos(1.0 / np.sqrt(3.0))
+    assert np.all(found > corner - np.radians(2.5))
+    assert np.all(found < corner + np.radians(0.5))  # the middle is that of the directions
+
+
+def test_cells_are_little_wider_than_the_caps_of_normals_that_fill_them():
+    clusters = cluster_axes(sphere(5).normals, 24)
+    assert clusters.sites is not None
+    caps = np.array([cap.half_angle for cap in clusters.caps])
+    ratio = half_angles_of_cells(clusters.sites) / caps
+    assert ratio.min() > 0.93
+    assert ratio.max() < 1.25
+    assert abs(np.median(ratio) - 1.0) < 0.1
 
 
 def test_surface_patches_are_connected_and_even(rng):

@@ -1,0 +1,98 @@
+"""The caps of a transfer file: dimension of the transport in each, and what the paper lets expect for its normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from slepian_prt.compression.compressed import CompressedTransfer
+from slepian_prt.errors import check_epsilon
+from slepian_prt.slepian.concentration import cap_basis
+from slepian_prt.slepian.shannon import concentration_count
+from slepian_prt.sphere.caps import cap_area
+
+# Concentration down to which functions count, where nothing else is said.
+EPSILON = 0.01
+
+
+@dataclass(frozen=True)
+class CapDimension:
+    """One cap of a file.
+
+    Attributes
+    ----------
+    cap : int
+        Its number in the file, from zero.
+    vertices : int
+        That receive light.
+    half_angle : float
+        Radians.
+    expected : int
+        Concentrations of the cap above `EPSILON`: the dimension by the paper, without shadows.
+    dimension : float
+        Of the transfer vectors of the cap, see `effective_dimension`.
+    functions : int
+        M.
+    """
+
+    cap: int
+    vertices: int
+    half_angle: float
+    expected: int
+    dimension: float
+    functions: int
+
+    @property
+    def coherence(self) -> float:
+        """1 - K/M."""
+        return 1.0 - self.dimension / self.functions
+
+
+def cap_dimensions(packed: CompressedTransfer, error: float) -> tuple[CapDimension, ...]:
+    """All caps that vertices with light belong to, the largest dimension first.
+
+    Vectors are weighted with the area of their vertices, pixels alike.
+
+    Raises
+    ------
+    UserError
+        An error that is none; a file that does not fit together.
+    """
+    # Only here: what is told without decoding starts without SciPy.
+    from slepian_prt.evaluation.dimension import check_error, dimension_of_vectors
+    from slepian_prt.evaluation.neighbourhoods import vertex_areas
+
+    error = check_error(error)
+    vectors, active = packed.reconstruct(), packed.mesh.receivers.active
+    areas = vertex_areas(packed.mesh) if packed.film is None else np.ones(len(vectors))
+    found = []
+    with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
+        for number, (cap, members) in enumerate(zip(packed.clusters.caps, packed.clusters.members, strict=True)):
+            lit = members[active[members]]
+            if lit.size == 0:
+                continue
+            found.append(
+                CapDimension(
+                    number,
+                    int(lit.size),
+                    cap.half_angle,
+                    concentration_count(packed.bandlimit, cap.half_angle, EPSILON),
+                    dimension_of_vectors(vectors[lit], areas[lit], error),
+                    vectors.shape[-1],
+                )
+            )
+    return tuple(sorted(found, key=lambda row: -row.dimension))
+
+
+def count_concentrations(bandlimit: int, half_angle: float, epsilon: float = EPSILON) -> int:
+    """As `concentration_count`, without SciPy, which takes longer to import than this.
+
+    Concentrations are the energies over the cap of a kernel that has all degrees alike, so they are right to rounding
+    of the largest instead of their own.
+    """
+    epsilon = check_epsilon(epsilon)
+    with threadpool_limits(1, "blas"):
+        energies = cap_basis(bandlimit, half_angle, kernel=np.ones(bandlimit + 1)).eigenvalues
+    return int(np.count_nonzero(energies * cap_area(half_angle) > epsilon))

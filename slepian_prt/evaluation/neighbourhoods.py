@@ -1,0 +1,128 @@
+"""Neighbourhoods on a surface: what of it lies around a vertex and hangs together there, with areas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.receivers import Receivers, morton
+
+# Copies of a vertex at hard edges and seams are one place of a surface, unless their normals are further apart than
+# 120 degrees: then they are the two sides of a sheet.
+_OPPOSITE = -0.5
+
+# Vertices count by the part of their area within the radius, those of large areas as if these were this wide.
+_WIDEST = 0.5
+
+
+class Neighbourhood(NamedTuple):
+    """Vertices about one of them.
+
+    Attributes
+    ----------
+    members : (n,) int
+    distances : (n,)
+        From the vertex in the middle, in a straight line.
+    areas : (n,)
+        Of the part of the surface about each that is within the radius.
+    """
+
+    members: NDArray[np.int64]
+    distances: NDArray[np.float64]
+    areas: NDArray[np.float64]
+
+
+class Surface:
+    """A surface whose neighbourhoods of one radius are asked for.
+
+    A neighbourhood is what of the surface lies within the radius of a vertex, in a straight line, and hangs together
+    with it there: the other side of a sheet or of a gap does not belong to it. So it is, unlike what is within reach
+    along edges, the same for every tessellation; on a sphere it is a cap whose chord is the radius.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    radius : float
+        In units of the model.
+
+    Attributes
+    ----------
+    radius : float
+    areas : (V,)
+        A third of the area of the faces about each vertex.
+    """
+
+    def __init__(self, mesh: Mesh, radius: float) -> None:
+        # Only here, so that what is told of files starts without SciPy.
+        from scipy.spatial import cKDTree
+
+        self.areas = vertex_areas(mesh)
+        self._positions, self.radius = mesh.positions, radius
+        self._active = np.flatnonzero(mesh.receivers.active)
+        self._tree = cKDTree(mesh.positions[self._active])
+        self._widths = np.clip(np.sqrt(self.areas), 1e-12 * radius, _WIDEST * radius)
+        self._reach = radius + 0.5 * float(self._widths.max())
+        pairs = np.concatenate([mesh.receivers.neighbours, copies_at_one_place(mesh.receivers)])
+        pairs = np.concatenate([pairs, pairs[:, ::-1]])
+        self._next = pairs[np.argsort(pairs[:, 0], kind="stable"), 1]
+        self._first = np.concatenate([[0], np.cumsum(np.bincount(pairs[:, 0], minlength=len(mesh.positions)))])
+        self._number = np.full(len(mesh.positions), -1, dtype=np.int64)
+
+    def spread_order(self) -> Iterator[int]:
+        """All vertices that some face uses, first few far apart, then more and more between, however they are numbered.
+
+        They are taken along a space-filling curve, at the places of van der Corput's sequence.
+        """
+        count = self._active.size
+        along = self._active[np.lexsort((self._active, morton(self._positions[self._active])))]
+        bits = max(count - 1, 0).bit_length()
+        places = np.zeros(1, dtype=np.int64)
+        for bit in range(bits):
+            places = np.concatenate([places, places + (1 << (bits - 1 - bit))])
+        yield from along[places[places < count]].tolist()
+
+    def about(self, vertex: int) -> Neighbourhood:
+        """The neighbourhood of a vertex that some face uses."""
+        near = self._active[self._tree.query_ball_point(self._positions[vertex], self._reach)]
+        members = near[self._together(near, vertex)]
+        distances = np.linalg.norm(self._positions[members] - self._positions[vertex], axis=1)
+        within = np.clip((self.radius - distances) / self._widths[members] + 0.5, 0.0, 1.0)
+        return Neighbourhood(members, distances, within * self.areas[members])
+
+    def _together(self, near: NDArray[np.int64], vertex: int) -> NDArray[np.bool_]:
+        """(n,) which of ``near`` edges among them join with the vertex."""
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import connected_components
+
+        self._number[near] = np.arange(near.size)
+        counts = self._first[near + 1] - self._first[near]
+        ends = np.cumsum(counts)
+        places = np.arange(ends[-1]) + np.repeat(self._first[near] - (ends - counts), counts)
+        ours, theirs = np.repeat(np.arange(near.size), counts), self._number[self._next[places]]
+        inside = theirs >= 0
+        links = (np.ones(int(inside.sum()), dtype=bool), (ours[inside], theirs[inside]))
+        pieces = connected_components(csr_array(links, shape=(near.size, near.size)), directed=False)[1]
+        together = pieces == pieces[self._number[vertex]]
+        self._number[near] = -1
+        return np.asarray(together)
+
+
+def vertex_areas(mesh: Mesh) -> NDArray[np.float64]:
+    """(V,) a third of the area of the faces about each vertex."""
+    a, b, c = (mesh.positions[mesh.faces[:, corner]] for corner in range(3))
+    thirds = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
+    return np.bincount(mesh.faces.ravel(), np.repeat(thirds, 3), minlength=len(mesh.positions)).astype(np.float64)
+
+
+def copies_at_one_place(receivers: Receivers) -> NDArray[np.int64]:
+    """(n, 2) vertices that stand at the same place of a surface, each with the next of its copies."""
+    positions, normals = receivers.positions, receivers.normals
+    order = np.lexsort((np.arange(len(positions)), *positions.T))
+    first, second = order[:-1], order[1:]
+    same = np.all(positions[first] == positions[second], axis=1)
+    same &= np.sum(normals[first] * normals[second], axis=1) > _OPPOSITE
+    return np.stack([first[same], second[same]], axis=1)

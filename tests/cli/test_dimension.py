@@ -1,0 +1,194 @@
+"""`dimension`: what it writes, what it says, and bad input in one line."""
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import slepian_prt as sp
+from slepian_prt.cli import main
+from slepian_prt.evaluation.dimension import effective_dimension
+from slepian_prt.scene.mesh import make_mesh
+from slepian_prt.transport.transfer import Transfer
+from tests.conftest import bumpy
+from tests.numerics import assert_exact, assert_rounded
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A mesh, its transfer whole and compressed, and a small cube."""
+    folder = tmp_path_factory.mktemp("dimension")
+    mesh = bumpy(3)
+    trimesh.Trimesh(mesh.positions, mesh.faces, process=False).export(folder / "bumpy.ply")
+    transfer = sp.precompute(folder / "bumpy.ply", bandlimit=3, samples=32)
+    transfer.save(folder / "bumpy.npz")
+    sp.compress(transfer, tolerance=0.05).save(folder / "bumpy.prt")
+    trimesh.creation.box((1, 1, 1)).export(folder / "cube.ply")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def transfer(folder) -> Transfer:
+    return sp.load_transfer(folder / "bumpy.npz")
+
+
+def run(capsys, *arguments: object) -> tuple[str, str]:
+    """What is printed, and what is remarked."""
+    assert main([str(argument) for argument in ("dimension", *arguments)]) == 0
+    printed = capsys.readouterr()
+    return printed.out, printed.err
+
+
+def test_arrays_are_what_python_gives(folder, transfer, tmp_path, capsys):
+    out, err = run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.npz", "--error", 0.1, "--neighbourhood", 0.2)
+    expected = effective_dimension(transfer, 0.1, 0.2)
+    with np.load(tmp_path / "d.npz") as arrays:
+        assert_rounded(arrays["dimension"], expected.dimension, 1000)
+        assert_exact(arrays["positions"], transfer.positions, "a copy")
+        assert_exact(arrays["faces"], transfer.mesh.faces, "a copy")
+        assert (int(arrays["functions"]), float(arrays["error"])) == (16, 0.1)
+        assert float(arrays["radius"]) == pytest.approx(0.2 * np.linalg.norm(np.ptp(transfer.positions, axis=0)))
+    assert err == ""
+    low, middle, high = (int(np.ceil(expected.quantile(part))) for part in (0.05, 0.5, 0.95))
+    assert out == (
+        f"{tmp_path / 'd.npz'}: effective dimension of transport over neighbourhoods of 20 % of the model's size, "
+        f"error 10 %: median {middle} of 16 (coherence {1 - middle / 16:.2f}), 5 % of the surface at most {low}, "
+        f"5 % at least {high}\n"
+    )
+
+
+def test_a_scene_is_traced_as_by_precompute(folder, transfer, tmp_path, capsys):
+    options = ("--bandlimit", 3, "--samples", 32, "--neighbourhood", 0.2)
+    run(capsys, folder / "bumpy.ply", "-o", tmp_path / "d.npz", *options)
+    with np.load(tmp_path / "d.npz") as arrays:
+        np.testing.assert_allclose(
+            arrays["dimension"], effective_dimension(transfer, neighbourhood=0.2).dimension, rtol=1e-6
+        )
+
+
+def test_a_mesh_has_the_dimension_as_a_property_and_as_colours(folder, tmp_path, capsys):
+    run(capsys, folder / "bumpy.prt", "-o", tmp_path / "d.ply", "--neighbourhood", 0.2)
+    content = (tmp_path / "d.ply").read_bytes()
+    header, _, body = content.partition(b"end_header\n")
+    assert b"property float dimension\n" in header
+    kinds = {b"float": "<f4", b"uchar": "u1", b"double": "<f8"}
+    pairs = re.findall(rb"property (float|double|uchar) (\w+)\n", header)
+    kind = np.dtype([(name.decode(), kinds[of]) for of, name in pairs])
+    vertices = np.frombuffer(body, kind, count=int(re.search(rb"element vertex (\d+)", header)[1]))
+    expected = effective_dimension(sp.load(folder / "bumpy.prt"), neighbourhood=0.2).dimension
+    np.testing.assert_allclose(vertices["dimension"], expected, rtol=1e-6)
+    # Viridis goes from violet to yellow: green grows with the dimension.
+    assert np.corrcoef(vertices["green"].astype(float), np.log(expected))[0, 1] > 0.95
+
+
+@pytest.mark.parametrize("width", [16, 120])
+def test_a_picture_with_its_scale(folder, tmp_path, capsys, width):
+    run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.png", "--width", width, "--neighbourhood", 0.2)
+    picture = np.asarray(Image.open(io.BytesIO((tmp_path / "d.png").read_bytes())).convert("RGBA"))
+    assert picture.shape[1] == width
+    assert picture.shape[0] > width
+    assert np.all(picture[..., 3] == 255)
+    assert np.all(picture[0, 0, :3] == 255)
+    middle = picture[width // 2, width // 2, :3].astype(int)
+    assert np.ptp(middle) > 40  # a colour
+
+
+def test_a_transparent_and_a_dark_background(folder, tmp_path, capsys):
+    options = ("--width", 64, "--neighbourhood", 0.2, "--background")
+    run(capsys, folder / "bumpy.npz", "-o", tmp_path / "clear.png", *options, "transparent")
+    clear = np.asarray(Image.open(tmp_path / "clear.png"))
+    assert clear[0, 0, 3] == 0
+    assert clear[32, 32, 3] == 255
+    run(capsys, folder / "bumpy.npz", "-o", tmp_path / "dark.png", *options, "#102030")
+    dark = np.asarray(Image.open(tmp_path / "dark.png").convert("RGB"))
+    assert dark[0, 0].tolist() == [0x10, 0x20, 0x30]
+    assert dark[66:].max() > 200  # letters are bright there
+
+
+def test_what_has_no_effect_is_said(folder, tmp_path, capsys):
+    _, err = run(
+        capsys, folder / "bumpy.npz", "-o", tmp_path / "d.npz", "--samples", 16, "--width", 99, "--neighbourhood", 0.2
+    )
+    assert err.splitlines() == [
+        "note: --width has no effect on .npz files",
+        f"note: --samples has no effect on transfer that is traced already, as {folder / 'bumpy.npz'} is",
+    ]
+
+
+def test_a_mesh_that_is_too_coarse_is_remarked_on(folder, tmp_path, capsys):
+    _, err = run(capsys, folder / "cube.ply", "-o", tmp_path / "d.npz", "--bandlimit", 2, "--samples", 16)
+    assert re.fullmatch(
+        r"note: neighbourhoods have \d vertices \(the median\), too few to tell: give a larger --neighbourhood, or a "
+        r"finer mesh\n",
+        err,
+    )
+
+
+def test_a_picture_of_nothing_is_said_to_be_empty(folder, tmp_path, capsys):
+    away = ("--look-at", "0,0,9", "0,0,20", "--width", 32, "--neighbourhood", 0.2)
+    _, err = run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.png", *away)
+    assert err == f"note: {tmp_path / 'd.png'}: the camera sees no front of any surface; the picture is empty\n"
+
+
+@pytest.mark.parametrize(
+    ("file", "output", "options", "said"),
+    [
+        ("bumpy.npz", "d.png", ("--error", "2"), "--error must be a number in [1e-05, 1), not 2.0"),
+        (
+            "bumpy.npz", "d.png", ("--neighbourhood", "0"),
+            "--neighbourhood must be a number in (0, 1], a part of the model's size, not 0.0",
+        ),
+        ("bumpy.npz", "d.jpg", (), "d.jpg: unknown kind of output '.jpg'; name one of .png, .ply, .npz"),
+        ("bumpy.npz", "none/d.png", (), "none/d.png: the folder none does not exist; create it or choose another"),
+        ("bumpy.npz", "bumpy.npz", (), "bumpy.npz: is the input; choose another name for the output"),
+        ("gone.prt", "d.png", (), "gone.prt: no such file; precompute it first"),
+        (
+            "bumpy.npz", "d.png", ("--background", "map"),
+            "the map cannot be the background: no light falls on this picture; name a colour",
+        ),
+        ("bumpy.npz", "d.png", ("--width", "3"), "--width must be between 16 and 8192 pixels, not 3"),
+        ("bumpy.ply", "d.png", ("--samples", "0"), "--samples must be an integer in [1, 65536], not 0"),
+        ("bumpy.npz", "d.png", ("--fov", "190"), "--fov must be"),
+    ],
+)  # fmt: skip
+def test_bad_input_gets_one_line(folder, monkeypatch, capsys, file, output, options, said):
+    monkeypatch.chdir(folder)
+    assert main(["dimension", file, "-o", output, *options]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"slepian-prt: {said}")
+    assert printed.err.count("\n") == 1
+    assert not (folder / "d.png").exists()
+
+
+def test_vertices_are_those_of_the_file_in_a_mesh(tmp_path, capsys):
+    """A vertex that hard edges split is one again."""
+    trimesh.creation.box((1, 1, 1)).subdivide().subdivide().export(tmp_path / "box.obj")
+    count = sum(line.startswith("v ") for line in (tmp_path / "box.obj").read_text().splitlines())
+    options = ("--bandlimit", 2, "--samples", 16, "--neighbourhood", 0.4, "--crease-angle", 30)
+    run(capsys, tmp_path / "box.obj", "-o", tmp_path / "d.ply", *options)
+    assert f"element vertex {count}\n".encode() in (tmp_path / "d.ply").read_bytes()
+
+
+def test_colours_are_those_of_the_scale(tmp_path):
+    """A square that faces the camera, of one dimension but for a corner: neither shade nor interpolation changes it."""
+    from slepian_prt.evaluation.dimension import EffectiveDimension
+    from slepian_prt.evaluation.dimension_picture import ColourScale, draw_dimension
+    from slepian_prt.relighting.drawing.camera import relit_camera
+    from slepian_prt.renderer.variants import mitsuba
+    from slepian_prt.scene.view import Aim
+
+    mesh = make_mesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    transfer = sp.precompute(mesh, bandlimit=1, samples=1, effects="none")
+    result = EffectiveDimension(np.array([4.0, 4.0, 4.0, 4.0]), 16, 0.05, 1.0, 0.1, np.ones(4), 4)
+    scale = ColourScale(1.0, 16.0)
+    with mitsuba():
+        camera = relit_camera(transfer, 65, Aim(look_at=((0, 0, 8), (0, 0, 0))))
+    pixels = draw_dimension(camera, mesh.normals, result, scale)
+    assert pixels[32, 32, 3] == 1.0
+    # ln 4 is half of ln 16: the middle of viridis, #21918c. The middle ray is half a pixel off, cos of 0.3 degrees.
+    np.testing.assert_allclose(pixels[32, 32, :3], np.array([0x21, 0x91, 0x8C]) / 255.0, atol=1.5 / 255.0)
