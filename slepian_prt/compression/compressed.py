@@ -270,7 +270,7 @@ class CompressedTransfer(Summarised):
 
         Returns
         -------
-        (V, (L+1)²), or (V, 3, (L+1)²) with three channels
+        (V, channels, (L+1)²) float32, as `Transfer.vectors` are
         """
         from slepian_prt.compression.decoder import reconstruct
 

@@ -94,7 +94,7 @@ def ambient_part(packed: CompressedTransfer, what: str, lights: Mapping[str, NDA
         decode_all(packed)  # together: far faster than block by block
     for first in range(0, len(receivers), _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, len(receivers)))
-        vectors = packed.reconstruct(rows).reshape(len(rows), packed.channels, -1).astype(np.float64)
+        vectors = packed.reconstruct(rows).astype(np.float64)
         kept = RULES[what](vectors, receivers.normals[rows])
         values.append(kept.values.astype(np.float32))
         occlusion.append((vectors[:, :, 0] / Y0).astype(np.float32))

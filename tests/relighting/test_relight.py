@@ -60,7 +60,7 @@ def test_compressed_equals_relighting_its_reconstruction(rng):
     transfer = precompute(bumpy(3), bandlimit=5, samples=64)
     packed = compress(transfer, "cpca", terms=7, clusters=9)
     light = rng.normal(size=(3, 36))
-    np.testing.assert_allclose(relight(packed, light), packed.reconstruct() @ light.T, atol=1e-4)
+    np.testing.assert_allclose(relight(packed, light), packed.reconstruct()[:, 0] @ light.T, atol=1e-4)
 
 
 def test_lighting_of_another_bandlimit_is_refused():

@@ -50,7 +50,7 @@ def falling(rng):
 
 
 def vectors_of(packed):
-    return packed.reconstruct().reshape(packed.vertex_count, packed.channels, -1)
+    return packed.reconstruct()
 
 
 @pytest.mark.parametrize("functions", [8, 16, 24, 32])
