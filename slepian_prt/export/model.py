@@ -14,6 +14,7 @@ from slepian_prt.export.ambient import ambient_part
 from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
 from slepian_prt.export.kinds import ATTRIBUTES, FUNCTIONS, PLY, TRANSFER, check_export, check_exportable
 from slepian_prt.export.transfer_glb import write_transfer_glb
+from slepian_prt.lighting.fitting import one_light
 from slepian_prt.relighting.files.surfaces import Surface, split_surfaces
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.view import UPS
@@ -76,7 +77,7 @@ def export_model(
     attributes : "bytes", "float" or "texture", optional
         How they are carried: as four bytes in each of the attributes ``_CUSTOM0`` and on, by default; as floats, for
         Blender, which takes bytes for colours; or in an image, for what keeps texture coordinates alone.
-    lights : dict of str to (3, (L+1)²), optional
+    lights : dict of str to (3, n²), optional
         Under which the loss is told too.
     scene : path, optional
         What the transfer was made from, whose textures are wanted, if that is not where it was.
@@ -95,7 +96,7 @@ def export_model(
     check_export(path, what, functions, attributes)
     check_choice(up, "up", UPS)
     check_exportable(packed, what, file)
-    lights = lights or {}
+    lights = {name: one_light(light, packed.bandlimit) for name, light in (lights or {}).items()}
     if what == TRANSFER:
         gpu = gpu_transfer(packed, FUNCTIONS if functions is None else functions)
         write_transfer_glb(

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.lighting.emitters import SkyEnvironment, project_emitter
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
+from slepian_prt.lighting.fitting import fit_lighting, is_lighting
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
-from slepian_prt.sphere.harmonics import num_coefficients
 
 
 def project_environment(
@@ -84,10 +84,11 @@ def lighting_at(
 
     Parameters
     ----------
-    light : coefficients (3, (L+1)²) or (B, 3, (L+1)²), or as for `project_environment`
+    light : coefficients (3, n²) or (B, 3, n²), or as for `project_environment`
         An array is taken for coefficients if its last two axes say so. A map cannot have such a shape: its last axis
         has one or three entries, the coefficients of degree 0 have one, and three rows of a map are six wide.
     bandlimit : int
+        Coefficients of another one are cut, or zero in the degrees that they have not, with a remark.
     clamp_negative : bool
         Of a path or an array of texels: see `project_environment`.
 
@@ -109,15 +110,15 @@ def lighting_at(
         raise UserError(
             f"light must be a path, an Environment, an array or an emitter, not {type(light).__name__}"
         ) from None
-    wanted = (3, num_coefficients(bandlimit))
-    if values.ndim in (2, 3) and values.shape[-2:] == wanted and values.size:
+    if is_lighting(values.shape):
         if not np.all(np.isfinite(values)):
             raise UserError("lighting must be finite; check the map that it was projected from")
-        return values
+        return np.asarray(fit_lighting(values, bandlimit))
     if values.ndim == 3 and values.shape[1] == 2 * values.shape[0] and values.shape[2] in (1, 3):
         return project_environment(light, bandlimit, clamp_negative=clamp_negative)
     raise UserError(
-        f"lighting must have shape {wanted} for bandlimit {bandlimit}, or that of a map, (H, 2H, 3), not {values.shape}"
+        f"lighting must have shape (3, n²), n² harmonics in red, green and blue, or that of a map, (H, 2H, 3), not "
+        f"{values.shape}"
     )
 
 

@@ -68,7 +68,14 @@ def test_constant_light_still_counts_other_degrees():
     np.testing.assert_allclose(measured_prior([light], 6, "constant").weights, [1.0] + [0.01] * 6)
 
 
-@pytest.mark.parametrize("lighting", [[], [np.zeros((3, 49))], [np.ones((3, 36))]])
+def test_lights_of_other_bandlimits_are_cut_or_dark_where_they_have_nothing(rng):
+    long, short = rng.normal(size=(3, 64)), rng.normal(size=(3, 9))
+    filled = np.concatenate([short, np.zeros((3, 40))], axis=1)
+    expected = measured_prior([long[:, :49], filled], 6, "two")
+    np.testing.assert_allclose(measured_prior([long, short], 6, "two").weights, expected.weights, rtol=1e-15)
+
+
+@pytest.mark.parametrize("lighting", [[], [np.zeros((3, 49))], [np.ones((3, 35))]])
 def test_bad_lights(lighting):
     with pytest.raises(UserError):
         measured_prior(lighting, 6, "bad")
