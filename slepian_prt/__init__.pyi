@@ -40,6 +40,7 @@ from .slepian.shannon import generalized_shannon_number as generalized_shannon_n
 from .slepian.shannon import refined_shannon_number as refined_shannon_number
 from .slepian.shannon import shannon_number as shannon_number
 from .sphere.caps import minimal_enclosing_cap as minimal_enclosing_cap
+from .sphere.conventions.convert import convert_sh as convert_sh
 from .sphere.harmonics import real_sh as real_sh
 from .sphere.regions import cap_region as cap_region
 from .sphere.regions import mask_region as mask_region
