@@ -59,8 +59,9 @@ def _remark(given: int, wanted: int) -> None:
     if given > wanted:
         log.warning("lighting of bandlimit %d is cut to %d, that of the transfer", given, wanted)
     else:
+        dark = f"degree {wanted}" if given + 1 == wanted else f"degrees {given + 1} to {wanted}"
         log.warning(
-            "lighting of bandlimit %d counts as dark in degrees %d to %d of the transfer; project its map at bandlimit "
-            "%d for all of its light",
-            given, given + 1, wanted, wanted,
+            "lighting of bandlimit %d counts as dark in %s of the transfer; project its map at bandlimit %d for all of "
+            "its light",
+            given, dark, wanted,
         )  # fmt: skip

@@ -12,8 +12,10 @@ from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.lighting.emitters import SkyEnvironment, project_emitter
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
 from slepian_prt.lighting.fitting import fit_lighting, is_lighting
+from slepian_prt.lighting.light_text import is_light_text, read_light_text
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
+from slepian_prt.sphere.rotation import rotate_sh
 
 
 def project_environment(
@@ -31,6 +33,8 @@ def project_environment(
     Parameters
     ----------
     environment : Environment, a path, an array (H, 2H, 3), or an environment emitter of Mitsuba's current variant
+        A path that ends in .txt is lighting itself, as GAMES202's ``light.txt``: a line of red, green and blue for each
+        harmonic.
     bandlimit : int
     rotate : float or (3, 3)
         Degrees, counter-clockwise about the up axis y; or any rotation of the light.
@@ -60,6 +64,8 @@ def project_checked(
     turn = rotation_matrix(rotate)
     if hasattr(environment, "is_environment"):
         return _of_emitter(environment, bandlimit, turn, clamp_negative)
+    if isinstance(environment, str | Path) and is_light_text(environment):
+        return rotate_sh(fit_lighting(read_light_text(environment), bandlimit), turn), 0
     if isinstance(environment, str | Path):
         rows = file_rows(environment)
     elif isinstance(environment, SkyEnvironment):

@@ -60,7 +60,7 @@ def _swapped(values: NDArray) -> NDArray:
     return np.swapaxes(values, -1, -2)
 
 
-# --- SHTOOLS: cosines [0, l, m] and sines [1, l, m] ------------------------------------------------------------------------
+# --- SHTOOLS: cosines [0, l, m] and sines [1, l, m] -------------------------------------------------------------------
 
 
 def _triangles(shape: tuple[int, ...]) -> int | None:
