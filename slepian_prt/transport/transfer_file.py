@@ -113,10 +113,10 @@ def load_transfer(path: str | Path, mesh: str | Path | Mesh | None = None) -> Tr
     path = Path(path)
     if path.suffix.lower() == ".txt":
         if mesh is None:
-            raise UserError(f"{path}: holds no mesh; name the one that it was made of with `mesh`")
+            raise UserError(f"{path}: holds no mesh; give mesh, the one that it was made of")
         return read_transport(path, mesh)
     if mesh is not None:
-        raise UserError(f"{path}: holds its mesh; `mesh` is for transport.txt of GAMES202, leave it out")
+        raise UserError(f"{path}: holds its mesh; leave out mesh, which is for transport.txt of GAMES202")
     check_readable(path)
     try:
         with path.open("rb") as file:

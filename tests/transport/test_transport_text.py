@@ -96,9 +96,9 @@ def test_another_mesh_is_told_by_its_corners(tmp_path, square, rng):
 
 def test_a_mesh_is_needed_here_and_nowhere_else(tmp_path, square):
     (tmp_path / "transport.txt").write_text("4\n" + "0 " * 54)
-    with pytest.raises(UserError, match="holds no mesh; name the one that it was made of with `mesh`"):
+    with pytest.raises(UserError, match="holds no mesh; give mesh, the one that it was made of"):
         sp.load_transfer(tmp_path / "transport.txt")
-    with pytest.raises(UserError, match=r"holds its mesh; `mesh` is for transport\.txt"):
+    with pytest.raises(UserError, match=r"holds its mesh; leave out mesh, which is for transport\.txt"):
         sp.load_transfer(tmp_path / "a.npz", mesh=square)
 
 

@@ -99,7 +99,7 @@ def _quantity(source: str, target: str, quantity: str | None) -> str:
         )
     if any(forms[one] != forms[common[0]] for forms in both for one in common):
         name = next(n for n, forms in zip((source, target), both, strict=True) if forms[common[0]] != forms[common[1]])
-        raise UserError(f"`quantity` must say what the numbers are, {' or '.join(common)}, as they differ in {name}")
+        raise UserError(f"quantity must say what the numbers are, {' or '.join(common)}, as they differ in {name}")
     return common[0]
 
 

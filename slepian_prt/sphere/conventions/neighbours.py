@@ -131,38 +131,38 @@ def _any(factor: Factor, layout: Layout, *quantities: str, offset: float = 0.0) 
 OURS = "slepian_prt"
 
 NEIGHBOURS: Mapping[str, Neighbour] = {
-    OURS: Neighbour("this package, `drjit.sh_eval`", _any(SAME, ROWS, *QUANTITIES)),
-    "d3dx": Neighbour("D3DX, `D3DXSHEvalDirection`", _any(SAME, COLOURS_FIRST, LIGHTING), 1, 5),
+    OURS: Neighbour("this package, drjit.sh_eval", _any(SAME, ROWS, *QUANTITIES)),
+    "d3dx": Neighbour("D3DX, D3DXSHEvalDirection", _any(SAME, COLOURS_FIRST, LIGHTING), 1, 5),
     "pifu": Neighbour(
-        "PIFu and ICON, `prt_util`, `env_sh.npy`",
+        "PIFu and ICON, prt_util, env_sh.npy",
         {TRANSFER: Form(PI_SIGN, ROWS), LIGHTING: Form(SIGN, COLOURS_LAST)},
     ),
     "three": Neighbour(
-        "three.js, `LightProbe`, `SphericalHarmonics3`", _any(SIGN, COLOURS_LAST, LIGHTING, FUNCTION), 2, 2,
+        "three.js, LightProbe, SphericalHarmonics3", _any(SIGN, COLOURS_LAST, LIGHTING, FUNCTION), 2, 2,
         map_turn=90.0,
     ),
-    "filament": Neighbour("Filament, `cmgen --sh`", _any(SAME, COLOURS_LAST, LIGHTING, FUNCTION)),
+    "filament": Neighbour("Filament, cmgen --sh", _any(SAME, COLOURS_LAST, LIGHTING, FUNCTION)),
     "filament-irradiance": Neighbour(
-        "Filament, `cmgen --sh-irradiance`", _any(IRRADIANCE, COLOURS_LAST, LIGHTING), 0, 2
+        "Filament, cmgen --sh-irradiance", _any(IRRADIANCE, COLOURS_LAST, LIGHTING), 0, 2
     ),
-    "filament-shader": Neighbour("Filament, `cmgen --sh-shader`", _any(SHADER, COLOURS_LAST, LIGHTING), 2, 2),
+    "filament-shader": Neighbour("Filament, cmgen --sh-shader", _any(SHADER, COLOURS_LAST, LIGHTING), 2, 2),
     "games202": Neighbour(
-        "GAMES202, `transport.txt`, `light.txt`",
+        "GAMES202, transport.txt, light.txt",
         {TRANSFER: Form(PI, ROWS), LIGHTING: Form(SAME, COLOURS_LAST)}, 2, 2,
     ),
     "google": Neighbour("Google spherical-harmonics", _any(SAME, ROWS, LIGHTING, FUNCTION)),
     "deca": Neighbour(
-        "DECA and FLAME, `add_SHlight`", _any(SHADING, COLOURS_LAST, LIGHTING), 2, 2,
+        "DECA and FLAME, add_SHlight", _any(SHADING, COLOURS_LAST, LIGHTING), 2, 2,
         sequence=((0, 0), (1, 1), (1, -1), (1, 0), (2, -2), (2, 1), (2, -1), (2, 2), (2, 0)),
     ),
     "shtools": Neighbour(
-        "SHTOOLS, pyshtools: `4pi`, `csphase=1`, real", _any(FOUR_PI, TRIANGLES, LIGHTING, FUNCTION)
+        "SHTOOLS, pyshtools: 4pi, csphase=1, real", _any(FOUR_PI, TRIANGLES, LIGHTING, FUNCTION)
     ),
     "sphericart": Neighbour("sphericart", _any(SIGN, ROWS, LIGHTING, FUNCTION)),
     "gaussian-splatting": Neighbour(
-        "3D gaussian splatting, `f_dc`, `f_rest` of a .ply", _any(SAME, PROPERTIES, FUNCTION, offset=0.5), 0, 3
+        "3D gaussian splatting, f_dc, f_rest of a .ply", _any(SAME, PROPERTIES, FUNCTION, offset=0.5), 0, 3
     ),
     "khr-gaussian-splatting": Neighbour(
-        "glTF, `KHR_gaussian_splatting`", _any(SAME, COLOURS_LAST, FUNCTION, offset=0.5), 0, 3
+        "glTF, KHR_gaussian_splatting", _any(SAME, COLOURS_LAST, FUNCTION, offset=0.5), 0, 3
     ),
 }  # fmt: skip

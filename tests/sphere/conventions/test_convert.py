@@ -169,7 +169,7 @@ def test_three_js_puts_the_middle_of_a_map_at_x(rng):
     [
         ({"target": "unity"}, "^target must be one of slepian_prt, d3dx, .* not 'unity'$"),
         ({"source": "three.js"}, "^source must be one of"),
-        ({"target": "pifu"}, "^`quantity` must say .* transfer or lighting, as they differ in pifu$"),
+        ({"target": "pifu"}, "^quantity must say .* transfer or lighting, as they differ in pifu$"),
         ({"target": "three", "quantity": "transfer"}, "^three has no transfer, but lighting and function$"),
         ({"target": "three", "quantity": "colour"}, "^quantity must be one of transfer, .*, not .colour."),
         ({"target": "three", "keep": "up"}, "^keep must be one of directions, map, not 'up'$"),
