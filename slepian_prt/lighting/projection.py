@@ -27,6 +27,12 @@ def project_environment(
 ) -> NDArray[np.float64]:
     """Spherical-harmonic coefficients of a map's radiance, in world space.
 
+    e_lm = ∫ L(ω) y_lm(ω) dω with the y_lm of `real_sh`: index l² + l + m, orthonormal, Condon–Shortley phase; their
+    polar axis is z, while maps have y up and +z in their middle column. As in Mitsuba, the first and last rows of a map
+    stand on the poles, row r at r/(H-1); other tools have rows at centres, (r+½)/H, and get other light of the same
+    texels: by 0.4 % at 256 rows, 1.5 % at 64 and 5 % at 16 up to degree 2 of the shipped sky. `convert_sh` gives the
+    coefficients as other tools have them.
+
     Exact for maps that are bandlimited themselves; maps of fewer than 8 rows per degree are interpolated first, as
     Mitsuba would. Files (.exr) are read a few rows at a time.
 

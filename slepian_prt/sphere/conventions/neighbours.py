@@ -141,11 +141,11 @@ NEIGHBOURS: Mapping[str, Neighbour] = {
         "three.js, LightProbe, SphericalHarmonics3", _any(SIGN, COLOURS_LAST, LIGHTING, FUNCTION), 2, 2,
         map_turn=90.0,
     ),
-    "filament": Neighbour("Filament, cmgen --sh", _any(SAME, COLOURS_LAST, LIGHTING, FUNCTION)),
+    "filament": Neighbour("Filament, sh of cmgen", _any(SAME, COLOURS_LAST, LIGHTING, FUNCTION)),
     "filament-irradiance": Neighbour(
-        "Filament, cmgen --sh-irradiance", _any(IRRADIANCE, COLOURS_LAST, LIGHTING), 0, 2
+        "Filament, sh-irradiance of cmgen", _any(IRRADIANCE, COLOURS_LAST, LIGHTING), 0, 2
     ),
-    "filament-shader": Neighbour("Filament, cmgen --sh-shader", _any(SHADER, COLOURS_LAST, LIGHTING), 2, 2),
+    "filament-shader": Neighbour("Filament, sh-shader of cmgen", _any(SHADER, COLOURS_LAST, LIGHTING), 2, 2),
     "games202": Neighbour(
         "GAMES202, transport.txt, light.txt",
         {TRANSFER: Form(PI, ROWS), LIGHTING: Form(SAME, COLOURS_LAST)}, 2, 2,
