@@ -103,7 +103,7 @@ def _sign(m: NDArray) -> NDArray:
 
 
 def _clamped_cosine(l: NDArray) -> NDArray:
-    """A_l of degrees 0 to 2, those that these tools have (Ramamoorthi & Hanrahan 2001), over π."""
+    """A_l of degrees 0 to 2, those that these tools have (Ramamoorthi & Hanrahan 2001, whose are π times as large)."""
     return np.array([1.0, 2.0 / 3.0, 0.25])[l]
 
 
@@ -118,7 +118,7 @@ SIGN = Factor("(−1)^m", lambda l, m: _sign(m))
 PI = Factor("π", lambda l, m: np.full(l.size, math.pi))
 PI_SIGN = Factor("π (−1)^m", lambda l, m: math.pi * _sign(m))
 FOUR_PI = Factor("(−1)^m / √(4π)", lambda l, m: _sign(m) / math.sqrt(4.0 * math.pi))
-IRRADIANCE = Factor("A_l", lambda l, m: _clamped_cosine(l))
+IRRADIANCE = Factor("π A_l", lambda l, m: math.pi * _clamped_cosine(l))
 SHADER = Factor("A_l K_lm (−1)^m", lambda l, m: _clamped_cosine(l) * _polynomial(l, m) * _sign(m))
 SHADING = Factor("(−1)^m, over π for l ≥ 1", lambda l, m: _sign(m) / np.where(l > 0, math.pi, 1.0))
 

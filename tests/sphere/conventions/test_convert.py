@@ -35,7 +35,7 @@ TOOLS = {
     "pifu": (theirs.pifu, of_light, 4, 1e-13),
     "three": (theirs.three, of_light, 2, 1e-13),
     "filament": (theirs.filament, of_light, 4, 1e-13),
-    "filament-irradiance": (theirs.filament, of_surfaces, 2, 1e-13),
+    "filament-irradiance": (theirs.filament_irradiance, of_surfaces, 2, 1e-13),
     "filament-shader": (theirs.filament_shader, of_surfaces, 2, 1e-13),
     "games202": (lambda c, d: theirs.google(c.T, d), of_light, 2, SIX_DIGITS),
     "google": (theirs.google, of_light, 4, SIX_DIGITS),

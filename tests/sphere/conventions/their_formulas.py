@@ -93,6 +93,11 @@ def filament(coefficients, d):
     return basis.T @ coefficients
 
 
+def filament_irradiance(coefficients, n):
+    """The same of ``computeSH(…, irradiance=true)``, whose ``truncatedCosSh`` are π, 2π/3, π/4: over π, as it draws."""
+    return filament(coefficients, n) / math.pi
+
+
 def filament_shader(coefficients, n):
     """``renderPreScaledSH3Bands``: irradiance over π at a normal."""
     x, y, z = n.T
