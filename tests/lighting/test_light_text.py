@@ -91,3 +91,24 @@ def test_the_command_takes_it(tmp_path, file, capsys):
     expected = sp.relight(sp.load(tmp_path / "a.prt"), file)
     np.testing.assert_allclose(np.load(tmp_path / "a.npz")["radiance"], expected, atol=1e-5)
     assert "note: lighting of bandlimit 2 counts as dark in degree 3 of the transfer" in capsys.readouterr().err
+
+
+def test_pictures_are_drawn_under_it(tmp_path, file):
+    """A scene with a mirror ball, whose pictures are gathered and show maps in mirrors: there are harmonics alone."""
+    scene = tmp_path / "scene.xml"
+    scene.write_text(
+        """<scene version="3.0.0">
+        <shape type="sphere" id="ball"><bsdf type="conductor"/></shape>
+        <shape type="rectangle" id="floor"><transform name="to_world"><rotate x="1" angle="-90"/>
+        <translate y="-1"/></transform></shape></scene>"""
+    )
+    packed = sp.compress(sp.precompute(scene, bandlimit=2, samples=16), "none")
+    packed.save(tmp_path / "a.prt")
+    from slepian_prt.cli import main
+
+    common = ["relight", str(tmp_path / "a.prt"), "--environment", str(file), "--width", "16", "--spp", "1"]
+    assert main([*common, "-o", str(tmp_path / "a.exr")]) == 0
+    assert main([*common, "--background", "map", "-o", str(tmp_path / "b.exr")]) == 2
+    picture = sp.render_picture(sp.load(tmp_path / "a.prt"), file, width=16, spp=1)
+    assert np.isfinite(picture).all()
+    assert picture.any()
