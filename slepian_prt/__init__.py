@@ -36,6 +36,7 @@ Functions on the sphere
     real_sh                         Evaluate all real spherical harmonics up to a bandlimit.
     rotate_sh                       Rotate spherical harmonic expansions.
     hemispherical_sh, h_basis       What others use over the hemisphere: HSH (Gautron et al.), H-basis (Habel & Wimmer).
+    convert_sh                      Coefficients of PIFu, three.js, Filament, SHTOOLS and others as ours, and back.
     cap_basis, CapBasis             Slepian functions of a spherical cap, or of transport over it.
     region_basis, RegionBasis       Slepian functions of a region of any shape.
     cap_region                      The region inside a cap.

@@ -47,6 +47,7 @@ from .slepian.shannon import refined_shannon_number as refined_shannon_number
 from .slepian.shannon import shannon_number as shannon_number
 from .slepian.shannon import szego_number as szego_number
 from .sphere.caps import minimal_enclosing_cap as minimal_enclosing_cap
+from .sphere.conventions.convert import convert_sh as convert_sh
 from .sphere.harmonics import real_sh as real_sh
 from .sphere.hemispherical import h_basis as h_basis
 from .sphere.hemispherical import hemispherical_sh as hemispherical_sh

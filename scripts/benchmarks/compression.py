@@ -76,7 +76,7 @@ def _mesh(name: str, transfer: sp.Transfer, maps: list[NDArray], lights: NDArray
     print(f"  {'K':>4} {'transfer':>24} {'relit':>24} {'relit over sh':>14}")
     for terms in (4, 9, 16, 25, 36, 49, 64):
         packed = sp.compress(transfer, terms=terms, clusters=clusters)
-        vectors = packed.reconstruct()
+        vectors = packed.reconstruct()[:, 0]
         foreseen = float(np.mean([packed.predicted_relit_error(light) for light in maps]))
         error, measured = _relative(vectors, reference), relit.error(vectors)
         sh = relit.error(np.where(np.arange(reference.shape[1]) < terms, reference, 0.0))
@@ -84,8 +84,8 @@ def _mesh(name: str, transfer: sp.Transfer, maps: list[NDArray], lights: NDArray
             f"  {terms:4d} {packed.predicted_error:9.4f} / {error:.4f} = {packed.predicted_error / error:4.2f}"
             f" {foreseen:9.4f} / {measured:.4f} = {foreseen / measured:4.2f} {measured / sh:14.2f}"
         )
-    refined = sp.compress(transfer, terms=16, clusters=clusters, refine=True).reconstruct()
-    pca = sp.compress(transfer, "pca", terms=16, clusters=clusters).reconstruct()
+    refined = sp.compress(transfer, terms=16, clusters=clusters, refine=True).reconstruct()[:, 0]
+    pca = sp.compress(transfer, "pca", terms=16, clusters=clusters).reconstruct()[:, 0]
     print(f"  second stage over per-cap PCA at K = 16: {_relative(refined, reference) / _relative(pca, reference):.3f}")
     _bytes(transfer, clusters, maps, relit)
     _priors(transfer, clusters, maps, relit, Relit(reference, sky))
@@ -99,7 +99,9 @@ def _bytes(transfer: sp.Transfer, clusters: object, maps: list[NDArray], relit: 
 
     def add(method: str, packed: object) -> None:
         seconds = getattr(packed, "seconds", {}).get("compress", float("nan"))
-        curves.setdefault(method, []).append((relit.error(packed.reconstruct()), packed.bytes_per_vertex, seconds))  # type: ignore[attr-defined]
+        curves.setdefault(method, []).append(
+            (relit.error(packed.reconstruct()[:, 0]), packed.bytes_per_vertex, seconds)
+        )  # type: ignore[attr-defined]
 
     for tolerance in (0.2, 0.14, 0.1, 0.07, 0.05, 0.035, 0.025):
         add("adapted, coded", sp.compress(transfer, tolerance=tolerance, clusters=clusters))
@@ -135,10 +137,10 @@ def _priors(transfer: sp.Transfer, clusters: object, maps: list[NDArray], relit:
     priors = {"of the maps": sp.measured_prior(maps, BANDLIMIT, "maps"), "1/(l+1)": sp.falling_prior(BANDLIMIT)}
     print("  relit error with a light prior over that without:")
     for terms in (4, 9, 16):
-        plain = sp.compress(transfer, terms=terms, clusters=clusters).reconstruct()
+        plain = sp.compress(transfer, terms=terms, clusters=clusters).reconstruct()[:, 0]
         row = []
         for name, prior in priors.items():
-            vectors = sp.compress(transfer, terms=terms, clusters=clusters, light_prior=prior).reconstruct()
+            vectors = sp.compress(transfer, terms=terms, clusters=clusters, light_prior=prior).reconstruct()[:, 0]
             row.append(
                 f"{name}: {relit.error(vectors) / relit.error(plain):.3f} under the maps, "
                 f"{sky.error(vectors) / sky.error(plain):.3f} under a clear sky"
@@ -159,7 +161,7 @@ def _second_stage(name: str, path: Path) -> None:
                 transfer, "adapted" if ours else "pca", terms=16, clusters=clusters, refine=ours or None
             )
             seconds[ours].append(time.perf_counter() - begin)
-            errors[ours] = _relative(packed.reconstruct(), transfer.vectors[:, 0])
+            errors[ours] = _relative(packed.reconstruct()[:, 0], transfer.vectors[:, 0])
     mine, peers = (float(np.median(seconds[ours])) for ours in (True, False))
     print(
         f"  {name}, L = 20, K = 16: second stage {mine:.1f} s, per-cap PCA {peers:.1f} s, ratio {mine / peers:.2f}; "

@@ -95,5 +95,4 @@ def verify(
 def squared_error(metric: ErrorMetric, packed: CompressedTransfer) -> NDArray[np.float64]:
     """(lights,) squared relative errors of compressed transfer at the vertices of a metric."""
     vectors = reconstruct(packed, metric.vertices)
-    vectors = vectors[:, None, :] if vectors.ndim == 2 else vectors
     return metric.errors(vectors).squared[packed.bandlimit]

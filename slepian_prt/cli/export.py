@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 @clamp_option
 @click.option("--scene", type=click.Path(), metavar="PATH", help="What FILE was made from: its textures are written.")
 @click.option("--up", type=click.Choice(["y", "z"]), default="y", show_default=True, help="What is up in the model.")
-@output_option("Where to write: .glb, or .ply for all but transfer.")
+@output_option("Where to write: .glb, or .ply for all but transfer; .txt for games202.")
 @variant_option
 def export(
     file: str,

@@ -18,7 +18,7 @@ from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.stored_mesh.stored import StoredMesh
 from slepian_prt.lighting.fixed_lights import FixedLights
-from slepian_prt.lighting.spectrum import falling_prior, light_power
+from slepian_prt.lighting.spectrum import expected_power
 from slepian_prt.scene.film import Film, FilmOutline
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
@@ -227,8 +227,7 @@ class CompressedTransfer(Summarised):
         lighting : (3, (L+1)²), optional
             By default light that falls as 1/(l+1)².
         """
-        power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
-        return self.expected.relative(power)
+        return self.expected.relative(expected_power(lighting, self.bandlimit))
 
     def noise(self, lighting: NDArray | None = None) -> float | None:
         """Relative RMS noise of a captured picture, averaged over the rotations of the light; None where none is known.
@@ -237,7 +236,7 @@ class CompressedTransfer(Summarised):
         """
         if self.film_outline is None:
             return None
-        power = falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
+        power = expected_power(lighting, self.bandlimit)
         return self.film_outline.relative_noise(self.channels * self.expected.total, power)  # expected of each channel
 
     @property
@@ -275,7 +274,7 @@ class CompressedTransfer(Summarised):
 
         Returns
         -------
-        (V, (L+1)²), or (V, 3, (L+1)²) with three channels
+        (V, channels, (L+1)²) float32, as `Transfer.vectors` are
         """
         from slepian_prt.compression.decoder import reconstruct
 

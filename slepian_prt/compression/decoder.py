@@ -125,7 +125,7 @@ def reconstruct(packed: CompressedTransfer, vertices: NDArray[np.integer] | None
         if packed.mean is not None:
             mixed[:, 0] += packed.mean.vectors(packed.normals[wanted[rows]], int(clusters.occlusion_classes[c]))
         vectors[rows] = mixed if packed.channels == 1 else np.einsum("dc,ndm->ncm", mixing, mixed)
-    return vectors[:, 0] if packed.channels == 1 else vectors
+    return vectors
 
 
 def coded_along_principal_axes(packed: CompressedTransfer) -> tuple[bool, ...]:

@@ -17,13 +17,12 @@ Y. Xiu et al., ICON, CVPR 2022: lib/renderer/prt_util.py, scripts/render_single.
 from __future__ import annotations
 
 import io
-import math
 from pathlib import PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.datasets.order_two import ORDER
+from slepian_prt.sphere.conventions.convert import convert_sh
 
 # Suffixes of the scan and of its folder in the data of PIFu: SUBJECT_OBJ/SUBJECT_100k.obj.
 _SCAN, _FOLDER = "_100k", "_OBJ"
@@ -33,8 +32,7 @@ _DECIMALS = 8
 
 def their_transfer(vectors: NDArray[np.float32]) -> NDArray[np.float64]:
     """(V, 9) as PIFu and ICON have it, from vectors (V, 9) of ours."""
-    orders = np.concatenate([np.arange(-degree, degree + 1) for degree in range(ORDER + 1)])
-    return np.asarray(math.pi * np.where(orders % 2, -1.0, 1.0) * vectors)
+    return convert_sh(vectors.astype(np.float64), target="pifu", quantity="transfer")
 
 
 def pifu_files(name: str, vectors: NDArray[np.float32], faces: NDArray[np.int64]) -> dict[str, bytes]:

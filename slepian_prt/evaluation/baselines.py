@@ -53,9 +53,9 @@ class HaarTransfer:
         return self.channels * bits / 8.0
 
     def reconstruct(self) -> NDArray[np.float32]:
-        """(V, (L+1)²) transfer vectors, or (V, 3, (L+1)²) with three channels."""
+        """(V, channels, (L+1)²) transfer vectors."""
         vectors = np.asarray(self.coefficients @ self.back, dtype=np.float32)
-        return vectors if self.channels == 1 else vectors.reshape(-1, self.channels, vectors.shape[1])
+        return vectors.reshape(-1, self.channels, vectors.shape[1])
 
     def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
         """(V, 3) outgoing radiance under lighting (3, (L+1)²)."""
@@ -141,10 +141,9 @@ class PaddedTransfer:
         return self.packed.bytes_per_vertex
 
     def reconstruct(self) -> NDArray[np.float32]:
-        """Transfer vectors, zero above the lower bandlimit."""
+        """(V, channels, (L+1)²) transfer vectors, zero above the lower bandlimit."""
         vectors = self.packed.reconstruct()
-        padding = [(0, 0)] * (vectors.ndim - 1) + [(0, self.size - vectors.shape[-1])]
-        return np.pad(vectors, padding)
+        return np.pad(vectors, [(0, 0), (0, 0), (0, self.size - vectors.shape[-1])])
 
     def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
         """(V, 3) outgoing radiance under lighting (3, (L+1)²)."""

@@ -42,7 +42,7 @@ class Relightable(Protocol):
         """Everything counted."""
 
     def reconstruct(self) -> NDArray[np.float32]:
-        """Transfer vectors."""
+        """(V, channels, (L+1)²) transfer vectors."""
 
     def radiance(self, lighting: NDArray) -> NDArray[np.float32]:
         """(V, 3) outgoing radiance under lighting (3, (L+1)²)."""

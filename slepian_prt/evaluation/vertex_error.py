@@ -68,7 +68,7 @@ class ErrorMetric(Protocol):
         ...
 
     def errors(self, vectors: NDArray, *, subtract_noise: bool = True) -> VertexError:
-        """Errors of transfer vectors (n, channels, (L+1)²) or (n, (L+1)²) at the vertices, cut at every bandlimit.
+        """Errors of transfer vectors (n, channels, (L+1)²) at the vertices, cut at every bandlimit.
 
         With ``subtract_noise`` the squared noise of the reference is taken off.
         """
@@ -166,7 +166,6 @@ class MapMetric:
         return np.array([reference.noise for reference in self.references])
 
     def errors(self, vectors: NDArray, *, subtract_noise: bool = True) -> VertexError:
-        vectors = vectors.reshape(len(vectors), -1, vectors.shape[-1])
         errors = []
         for lighting, reference in zip(self.lighting, self.references, strict=True):
             lit = reference.radiance.any(axis=1)
@@ -256,7 +255,6 @@ class SpectrumMetric:
         return np.sqrt(_over(noise.sum(keepdims=True), whole))
 
     def errors(self, vectors: NDArray, *, subtract_noise: bool = True) -> VertexError:
-        vectors = vectors.reshape(len(vectors), -1, vectors.shape[-1])
         bandlimit = bandlimit_of(vectors.shape[2])
         reference, _, whole = self._energies
         common = min(bandlimit, self.power.size - 1)

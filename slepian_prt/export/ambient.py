@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import decode_all, forget
 from slepian_prt.compression.prediction import Expectation, by_degree
-from slepian_prt.export.kinds import BENT_NORMALS, FIRST_DEGREE, OCCLUSION, SKY_VISIBILITY
+from slepian_prt.export.kinds import BENT_NORMALS, FIRST_DEGREE, GAMES202, OCCLUSION, SKY_VISIBILITY
 from slepian_prt.lighting.spectrum import falling_prior
 from slepian_prt.slepian.kernels import cosine_lobe
-from slepian_prt.sphere.harmonics import degrees, real_sh
+from slepian_prt.sphere.conventions.layouts import cut_or_filled
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees, real_sh
 from slepian_prt.sphere.quadrature import sphere_rule
 
 # Values of the harmonics of degree 0, and of degree 1 along its axis.
@@ -94,7 +95,7 @@ def ambient_part(packed: CompressedTransfer, what: str, lights: Mapping[str, NDA
         decode_all(packed)  # together: far faster than block by block
     for first in range(0, len(receivers), _BLOCK):
         rows = np.arange(first, min(first + _BLOCK, len(receivers)))
-        vectors = packed.reconstruct(rows).reshape(len(rows), packed.channels, -1).astype(np.float64)
+        vectors = packed.reconstruct(rows).astype(np.float64)
         kept = RULES[what](vectors, receivers.normals[rows])
         values.append(kept.values.astype(np.float32))
         occlusion.append((vectors[:, :, 0] / Y0).astype(np.float32))
@@ -162,12 +163,20 @@ def keep_first_degree(vectors: NDArray, _normals: NDArray) -> Approximation:
     return Approximation(_first_degree(vectors), kept)
 
 
+def keep_second_degree(vectors: NDArray, _normals: NDArray) -> Approximation:
+    """Transfer in degrees 0 to 2, of the mean of the channels."""
+    values = cut_or_filled(vectors.mean(axis=1, keepdims=True), 2)
+    size = vectors.shape[2]
+    return Approximation(values, np.broadcast_to(cut_or_filled(values, bandlimit_of(size)), vectors.shape))
+
+
 Rule = Callable[[NDArray, NDArray], Approximation]
 RULES: dict[str, Rule] = {
     OCCLUSION: keep_occlusion,
     BENT_NORMALS: keep_bent_normals,
     SKY_VISIBILITY: keep_sky_visibility,
     FIRST_DEGREE: keep_first_degree,
+    GAMES202: keep_second_degree,
 }
 
 

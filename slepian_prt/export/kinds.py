@@ -12,12 +12,12 @@ from slepian_prt.files import check_writable
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
 
-TRANSFER, OCCLUSION, BENT_NORMALS, SKY_VISIBILITY, FIRST_DEGREE = (
-    "transfer", "occlusion", "bent-normals", "sky-visibility", "l1",
+TRANSFER, OCCLUSION, BENT_NORMALS, SKY_VISIBILITY, FIRST_DEGREE, GAMES202 = (
+    "transfer", "occlusion", "bent-normals", "sky-visibility", "l1", "games202",
 )  # fmt: skip
 
 # Transfer itself, and what engines have a place for already.
-KINDS = (TRANSFER, OCCLUSION, BENT_NORMALS, SKY_VISIBILITY, FIRST_DEGREE)
+KINDS = (TRANSFER, OCCLUSION, BENT_NORMALS, SKY_VISIBILITY, FIRST_DEGREE, GAMES202)
 
 # How the bytes of vertices are carried.
 ATTRIBUTES = ("bytes", "float", "texture")
@@ -25,7 +25,10 @@ ATTRIBUTES = ("bytes", "float", "texture")
 # Bytes per vertex, where nothing else is asked for.
 FUNCTIONS = 16
 
-GLB, PLY = ".glb", ".ply"
+# How meshes begin that were written beside a transport.txt.
+OBJ_HEAD = b"# slepian_prt"
+
+GLB, PLY, TEXT = ".glb", ".ply", ".txt"
 
 # The highest degree that is needed.
 _LEAST_BANDLIMIT = {BENT_NORMALS: 1, SKY_VISIBILITY: 2, FIRST_DEGREE: 1}
@@ -36,10 +39,13 @@ def check_export(
 ) -> None:
     """Raise UserError unless that can be exported to such a file, and none of the inputs is in its place."""
     check_choice(what, "what", KINDS)
-    suffixes = (GLB,) if what == TRANSFER else (GLB, PLY)
+    suffixes = {TRANSFER: (GLB,), GAMES202: (TEXT,)}.get(what, (GLB, PLY))
     suffix = Path(output).suffix.lower()
     if suffix not in suffixes:
-        others = f"; `what=occlusion` and the like are written as {PLY} too" if suffix == PLY else ""
+        others = {
+            PLY: f"; `what=occlusion` and the like are written as {PLY} too",
+            TEXT: f"; `what={GAMES202}` is written as {TEXT}",
+        }.get(suffix, "")
         found = f"not '{suffix}'" if suffix else "which its name has to end in"
         raise UserError(f"{output}: {what} is written as {' or '.join(suffixes)}, {found}{others}")
     if attributes is not None:
@@ -49,6 +55,24 @@ def check_export(
             if value is not None:
                 raise UserError(f"`{name}` is about `what=transfer` and has no effect on {what}; leave it out")
     check_writable(output, *inputs)
+    if what == GAMES202:
+        _check_mesh_beside(mesh_beside(output))
+
+
+def mesh_beside(output: str | Path) -> Path:
+    """The .obj file whose corners a transport.txt is of."""
+    return Path(output).with_suffix(".obj")
+
+
+def _check_mesh_beside(path: Path) -> None:
+    """Raise UserError for a mesh that would be replaced and is not ours: most likely the one that was precomputed."""
+    check_writable(path)
+    if path.exists():
+        with path.open("rb") as file:
+            if file.read(len(OBJ_HEAD)) != OBJ_HEAD:
+                raise UserError(
+                    f"{path}: would be replaced by the triangles as they are numbered here; name the output otherwise"
+                )
 
 
 def check_exportable(packed: CompressedTransfer, what: str, file: str | Path = "") -> None:

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import check_choice
-from slepian_prt.export.ambient import ambient_part
+from slepian_prt.export.ambient import Ambient, ambient_part
 from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
-from slepian_prt.export.kinds import ATTRIBUTES, FUNCTIONS, PLY, TRANSFER, check_export, check_exportable
+from slepian_prt.export.games202_files import write_games202
+from slepian_prt.export.kinds import ATTRIBUTES, FUNCTIONS, GAMES202, PLY, TRANSFER, check_export, check_exportable
 from slepian_prt.export.transfer_glb import write_transfer_glb
+from slepian_prt.lighting.fitting import one_light
 from slepian_prt.relighting.files.surfaces import Surface, split_surfaces
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.view import UPS
@@ -66,17 +68,18 @@ def export_model(
     ----------
     packed : CompressedTransfer
     path : path
-        ``.glb``; all but transfer may be ``.ply`` too.
-    what : "transfer", "occlusion", "bent-normals", "sky-visibility" or "l1"
+        ``.glb``; all but transfer may be ``.ply`` too; ``.txt`` of GAMES202.
+    what : "transfer", "occlusion", "bent-normals", "sky-visibility", "l1" or "games202"
         Transfer in the run-time format, for shaders of one's own. Or, for what engines have: radiance of white vertices
         under a constant light of 1; where unblocked light comes from; the visibility of the sky as probe volumes of
-        Unity hold it; transfer of degree 0 and 1.
+        Unity hold it; transfer of degree 0 and 1. Or transfer of degree 0 to 2 as GAMES202 has it, ``transport.txt``,
+        with its mesh beside it as .obj and the ``lights`` as light.txt (light-NAME.txt of several).
     functions : int, optional
         Bytes per vertex of the run-time format, see `gpu_transfer`; by default 16.
     attributes : "bytes", "float" or "texture", optional
         How they are carried: as four bytes in each of the attributes ``_CUSTOM0`` and on, by default; as floats, for
         Blender, which takes bytes for colours; or in an image, for what keeps texture coordinates alone.
-    lights : dict of str to (3, (L+1)²), optional
+    lights : dict of str to (3, n²), optional
         Under which the loss is told too.
     scene : path, optional
         What the transfer was made from, whose textures are wanted, if that is not where it was.
@@ -95,7 +98,7 @@ def export_model(
     check_export(path, what, functions, attributes)
     check_choice(up, "up", UPS)
     check_exportable(packed, what, file)
-    lights = lights or {}
+    lights = {name: one_light(light, packed.bandlimit) for name, light in (lights or {}).items()}
     if what == TRANSFER:
         gpu = gpu_transfer(packed, FUNCTIONS if functions is None else functions)
         write_transfer_glb(
@@ -104,13 +107,29 @@ def export_model(
         measured = {name: gpu.error(light) for name, light in lights.items()}
         return Exported(Path(path), packed.vertex_count, gpu.error(), gpu.relit_error(), measured)
     ambient = ambient_part(packed, what, lights)
-    if Path(path).suffix.lower() == PLY:
+    if what == GAMES202:
+        _write_games202(path, packed, ambient, lights, report)
+    elif Path(path).suffix.lower() == PLY:
         write_ambient_ply(path, packed, ambient, what)
     else:
         write_ambient_glb(path, packed, ambient, what, _surfaces(packed, path, scene, file, report), up)
     error = ambient.error()
     relit = (error**2 + packed.predicted_relit_error() ** 2) ** 0.5
     return Exported(Path(path), packed.vertex_count, error, relit, ambient.measured)
+
+
+def _write_games202(
+    path: str | Path,
+    packed: CompressedTransfer,
+    ambient: Ambient,
+    lights: Mapping[str, NDArray],
+    report: Callable[[str], None],
+) -> None:
+    if packed.bandlimit > 2:
+        report(f"{path}: GAMES202 has degrees 0 to 2; 3 to {packed.bandlimit} are left out")
+    if packed.channels == 3:
+        report(f"{path}: GAMES202 has one number for all colours; transfer of three channels is their mean")
+    write_games202(path, packed.mesh, ambient.values[:, 0], lights)
 
 
 def _surfaces(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_readable
+from slepian_prt.lighting.light_text import is_light_text
 from slepian_prt.lighting.map_rows import Checked, Rows, array_rows
 
 __all__ = ["Checked", "Rows", "array_rows", "file_rows"]
@@ -27,6 +28,8 @@ def file_rows(path: str | Path) -> Rows:
         Missing, unreadable, or not twice as wide as high.
     """
     path = Path(path)
+    if is_light_text(path):
+        raise UserError(f"{path}: holds harmonics, and a picture is wanted here; name a map")
     wanted = "an environment map (.exr, .hdr or .png)"
     check_readable(path, wanted, f"name {wanted}")
     try:

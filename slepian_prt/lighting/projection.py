@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.lighting.emitters import SkyEnvironment, project_emitter
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
+from slepian_prt.lighting.fitting import fit_lighting, is_lighting
+from slepian_prt.lighting.light_text import is_light_text, read_light_text
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.sphere.rotation import rotate_sh
 
 
 def project_environment(
@@ -25,12 +27,20 @@ def project_environment(
 ) -> NDArray[np.float64]:
     """Spherical-harmonic coefficients of a map's radiance, in world space.
 
+    e_lm = ∫ L(ω) y_lm(ω) dω with the y_lm of `real_sh`: index l² + l + m, orthonormal, Condon–Shortley phase; their
+    polar axis is z, while maps have y up and +z in their middle column. As in Mitsuba, the first and last rows of a map
+    stand on the poles, row r at r/(H-1); other tools have rows at centres, (r+½)/H, and get other light of the same
+    texels: by 0.4 % at 256 rows, 1.5 % at 64 and 5 % at 16 up to degree 2 of the shipped sky. `convert_sh` gives the
+    coefficients as other tools have them.
+
     Exact for maps that are bandlimited themselves; maps of fewer than 8 rows per degree are interpolated first, as
     Mitsuba would. Files (.exr) are read a few rows at a time.
 
     Parameters
     ----------
     environment : Environment, a path, an array (H, 2H, 3), or an environment emitter of Mitsuba's current variant
+        A path that ends in .txt is lighting itself, as GAMES202's ``light.txt``: a line of red, green and blue for each
+        harmonic.
     bandlimit : int
     rotate : float or (3, 3)
         Degrees, counter-clockwise about the up axis y; or any rotation of the light.
@@ -60,6 +70,8 @@ def project_checked(
     turn = rotation_matrix(rotate)
     if hasattr(environment, "is_environment"):
         return _of_emitter(environment, bandlimit, turn, clamp_negative)
+    if isinstance(environment, str | Path) and is_light_text(environment):
+        return rotate_sh(fit_lighting(read_light_text(environment), bandlimit), turn), 0
     if isinstance(environment, str | Path):
         rows = file_rows(environment)
     elif isinstance(environment, SkyEnvironment):
@@ -84,10 +96,11 @@ def lighting_at(
 
     Parameters
     ----------
-    light : coefficients (3, (L+1)²) or (B, 3, (L+1)²), or as for `project_environment`
+    light : coefficients (3, n²) or (B, 3, n²), or as for `project_environment`
         An array is taken for coefficients if its last two axes say so. A map cannot have such a shape: its last axis
         has one or three entries, the coefficients of degree 0 have one, and three rows of a map are six wide.
     bandlimit : int
+        Coefficients of another one are cut, or zero in the degrees that they have not, with a remark.
     clamp_negative : bool
         Of a path or an array of texels: see `project_environment`.
 
@@ -109,15 +122,15 @@ def lighting_at(
         raise UserError(
             f"light must be a path, an Environment, an array or an emitter, not {type(light).__name__}"
         ) from None
-    wanted = (3, num_coefficients(bandlimit))
-    if values.ndim in (2, 3) and values.shape[-2:] == wanted and values.size:
+    if is_lighting(values.shape):
         if not np.all(np.isfinite(values)):
             raise UserError("lighting must be finite; check the map that it was projected from")
-        return values
+        return np.asarray(fit_lighting(values, bandlimit))
     if values.ndim == 3 and values.shape[1] == 2 * values.shape[0] and values.shape[2] in (1, 3):
         return project_environment(light, bandlimit, clamp_negative=clamp_negative)
     raise UserError(
-        f"lighting must have shape {wanted} for bandlimit {bandlimit}, or that of a map, (H, 2H, 3), not {values.shape}"
+        f"lighting must have shape (3, n²), n² harmonics in red, green and blue, or that of a map, (H, 2H, 3), not "
+        f"{values.shape}"
     )
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients
+from slepian_prt.lighting.fitting import fit_lighting, one_light
+from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 
 FALLING = "1/(l+1)"
 
@@ -50,24 +51,28 @@ def falling_prior(bandlimit: int) -> LightPrior:
     return LightPrior(FALLING, 1.0 / np.arange(1.0, bandlimit + 2.0))
 
 
+def expected_power(lighting: ArrayLike | None, bandlimit: int) -> NDArray[np.float64]:
+    """(L+1,) power per harmonic of lighting (…, n²) at a bandlimit; without one, of light that falls as 1/(l+1)²."""
+    if lighting is None:
+        return falling_prior(bandlimit).weights ** 2
+    return light_power(fit_lighting(np.asarray(lighting, dtype=np.float64), bandlimit))
+
+
 def measured_prior(lighting: Sequence[NDArray], bandlimit: int, name: str) -> LightPrior:
-    """Weights from the mean spectrum of environments, each (3, (L+1)²), brightness left out.
+    """Weights from the mean spectrum of environments, each (3, n²), brightness left out.
+
+    Those of another bandlimit are cut, or dark in the degrees that they have not, with a remark.
 
     Raises
     ------
     UserError
-        No environment, one that is black, or of another bandlimit.
+        No environment, or one that is black or of another shape.
     """
     if len(lighting) == 0:
         raise UserError("a light prior needs at least one environment")
     spectra = []
     for light in lighting:
-        if np.shape(light) != (3, num_coefficients(bandlimit)):
-            raise UserError(
-                f"lighting must have shape {(3, num_coefficients(bandlimit))} for bandlimit {bandlimit}, not "
-                f"{np.shape(light)}"
-            )
-        power = light_power(light)
+        power = light_power(one_light(light, bandlimit))
         if not power.max() > 0.0:
             raise UserError(f"{name}: is black and says nothing about light; choose another map")
         spectra.append(power / power[0] if power[0] > _FAINTEST * power.max() else power / power.max())

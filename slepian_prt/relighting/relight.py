@@ -43,9 +43,9 @@ def relight(
     Parameters
     ----------
     transfer : Transfer (full SH) or CompressedTransfer
-    lighting : path of a map, Environment, coefficients (3, (L+1)²), or (B, 3, (L+1)²) for B lights at once, or None
-        Coefficients are those of `project_environment`, at the bandlimit of the transfer. With None the scene's lamps
-        shine alone.
+    lighting : path of a map, Environment, coefficients (3, n²), or (B, 3, n²) for B lights at once, or None
+        Coefficients are those of `project_environment`; of another bandlimit than that of the transfer they are cut, or
+        zero in the degrees that they have not, with a remark. With None the scene's lamps shine alone.
     up : "y" or "z"
         The axis of the model that what is above in the lighting (y) shines from: of a scan that lies on its back where
         y is up, z.
@@ -63,7 +63,7 @@ def relight(
     Raises
     ------
     UserError
-        Lighting of another shape, or not finite; a map that cannot be used; no light at all; a lamp that is not there.
+        Lighting of no such shape, or not finite; a map that cannot be used; no light at all; a lamp that is not there.
     """
     fixed = transfer.fixed
     scales = lamp_scales(fixed, fixed_lights)

@@ -13,6 +13,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment, about_up, check_names, read_environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
+from slepian_prt.lighting.light_text import is_light_text
 from slepian_prt.lighting.projection import project_checked
 from slepian_prt.lighting.windowing import window
 from slepian_prt.relighting.damping import damp
@@ -210,7 +211,9 @@ def _remarks_on_lamps(packed: CompressedTransfer, lights: Lights, file: str) -> 
 
 
 def read_environments(lights: Lights) -> tuple[Environment, ...]:
-    """The maps as they stand, one for each result."""
+    """The maps as they stand, one for each result; none where a light is harmonics without a map and none is shown."""
+    if not lights.shown and any(is_light_text(path) for path in lights.maps):
+        return ()
     stood = [read_environment(path, clamp_negative=lights.clamp_negative).turned(lights.stand) for path in lights.maps]
     if lights.turntable is None:
         return tuple(stood)

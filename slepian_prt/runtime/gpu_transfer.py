@@ -20,7 +20,8 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import forget
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.errors import UserError, check_integer
-from slepian_prt.lighting.spectrum import falling_prior, light_power
+from slepian_prt.lighting.fitting import one_light
+from slepian_prt.lighting.spectrum import expected_power, falling_prior
 from slepian_prt.relighting.factors import all_factors
 from slepian_prt.runtime.energies import DegreeEnergies
 from slepian_prt.runtime.groups import Group, group_caps
@@ -104,33 +105,26 @@ class GpuTransfer(Summarised):
         lighting : (3, (L+1)²), optional
             By default light that falls as 1/(l+1)².
         """
-        return self.expected.relative(self._power(lighting))
+        return self.expected.relative(expected_power(lighting, self.bandlimit))
 
     def relit_error(self, lighting: NDArray | None = None) -> float:
         """The same together with what the file lost, which has nothing to do with it."""
-        return math.hypot(self.error(lighting), self.of_file.relative(self._power(lighting)))
-
-    def _power(self, lighting: NDArray | None) -> NDArray[np.float64]:
-        return falling_prior(self.bandlimit).weights ** 2 if lighting is None else light_power(lighting)
+        return math.hypot(self.error(lighting), self.of_file.relative(expected_power(lighting, self.bandlimit)))
 
     def light(self, lighting: NDArray) -> NDArray[np.float32]:
         """What a light makes of the functions: the table that shaders read, anew for each light.
 
         Parameters
         ----------
-        lighting : (3, (L+1)²)
+        lighting : (3, n²)
+            Of another bandlimit it is cut, or zero in the degrees that it has not, with a remark.
 
         Returns
         -------
         (C, K, 3) float32
             Radiance of receiver v is table[c, 0] + Σ_k vertices[v, k - 1] / 255 table[c, k].
         """
-        light = np.asarray(lighting, dtype=np.float32)
-        if light.shape != (3, num_coefficients(self.bandlimit)):
-            raise UserError(
-                f"lighting must have shape {(3, num_coefficients(self.bandlimit))} for bandlimit {self.bandlimit}, not "
-                f"{light.shape}"
-            )
+        light = one_light(np.asarray(lighting, dtype=np.float32), self.bandlimit)
         table = np.einsum(
             "ckdm,dm->ckd",
             np.broadcast_to(self.functions, (*self.functions.shape[:2], *light.shape)),

@@ -93,6 +93,10 @@ def legendre_polynomials(
 def real_sh(bandlimit: int, directions: ArrayLike, dtype: DTypeLike = np.float64) -> NDArray:
     """Evaluate all real spherical harmonics of degree 0..L.
 
+    Column l² + l + m has degree l and order m; m > 0 goes with cos mφ, m < 0 with sin |m|φ. They are orthonormal on the
+    sphere, ∫ y_i y_j dω = δ_ij, with the Condon–Shortley phase (-1)^m: y_1,-1 = -√(3/4π) y. The polar axis is z, while
+    what is up in scenes and maps is y. So has ``drjit.sh_eval`` them; `convert_sh` knows how other tools do.
+
     Parameters
     ----------
     bandlimit : int

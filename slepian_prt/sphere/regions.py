@@ -181,6 +181,16 @@ def polygon_region(vertices: ArrayLike) -> CircleRegion:
 def mask_region(mask: ArrayLike) -> MaskRegion:
     """The cells of an equirectangular (H, W) grid, z up, that are true, or any number but zero; see `MaskRegion`.
 
+    Row j spans the polar angles πj/H to π(j+1)/H, column k the azimuths 2πk/W to 2π(k+1)/W: a mask is an area, and its
+    edges are where its cells end. The grids of SHTOOLS (DH) are samples at points instead, at the polar angles πj/H and
+    the azimuths 2πk/W: half a cell up and to the left of the middle of ours. Samples as cells about their points are
+
+        rows = np.minimum((np.arange(2 * H) + 1) // 2, len(mask) - 1)
+        columns = (np.arange(2 * W) + 1) // 2 % W
+        region = sp.mask_region(mask[np.ix_(rows, columns)])
+
+    of a mask (H, W), or (H + 1, W + 1) with ``extend=True``. Maps of light are neither: see `project_environment`.
+
     Raises
     ------
     UserError

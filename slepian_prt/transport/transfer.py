@@ -37,6 +37,11 @@ if TYPE_CHECKING:
 class Transfer(Summarised):
     """How distant light becomes radiance at each vertex, before the albedo.
 
+    t_lm = (1/π) ∫ V(ω) (n·ω)₊ y_lm(ω) dω for diffuse surfaces, V the visibility: with 1/π, so that a constant light of
+    radiance 1 gives an unshadowed vertex the radiance 1; PIFu, ICON and GAMES202 leave it out (`convert_sh`). The y_lm
+    are those of `real_sh`: index l² + l + m, orthonormal, Condon–Shortley phase, polar axis z; the axes are the
+    model's.
+
     Attributes
     ----------
     vectors : (V, channels, (L+1)²) float32

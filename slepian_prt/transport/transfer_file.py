@@ -32,6 +32,7 @@ from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import Transfer
+from slepian_prt.transport.transport_text import read_transport
 
 FORMAT = "slepian_prt uncompressed transfer"
 VERSION = 1
@@ -94,15 +95,28 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # of its keyword allow_pickle
 
 
-def load_transfer(path: str | Path) -> Transfer:
-    """Read what `Transfer.save` wrote.
+def load_transfer(path: str | Path, mesh: str | Path | Mesh | None = None) -> Transfer:
+    """Read what `Transfer.save` wrote, or GAMES202's ``transport.txt``.
+
+    Parameters
+    ----------
+    path : path
+        ``.npz``, or ``.txt``.
+    mesh : path of an .obj file or Mesh, optional
+        Whose triangles a ``.txt`` is of, in their order; it holds none.
 
     Raises
     ------
     UserError
-        Missing, foreign, cut short, damaged, or from another version.
+        Missing, foreign, cut short, damaged, from another version, or of another mesh.
     """
     path = Path(path)
+    if path.suffix.lower() == ".txt":
+        if mesh is None:
+            raise UserError(f"{path}: holds no mesh; give mesh, the one that it was made of")
+        return read_transport(path, mesh)
+    if mesh is not None:
+        raise UserError(f"{path}: holds its mesh; leave out mesh, which is for transport.txt of GAMES202")
     check_readable(path)
     try:
         with path.open("rb") as file:

@@ -100,7 +100,7 @@ def test_a_trial_foresees_what_coding_adds(pilot, part):
     transfer = compute_transfer(pilot.planned.with_settings(bandlimit=8, samples=256))
     grouping = group_scene(CompressionSettings(clusters=40), pilot.planned)
     packed = compress(transfer, **{**vars(coded.learned.settings), "clusters": grouping})
-    squared = metric.errors(packed.reconstruct(metric.vertices)[:, None, :]).squared[8, 0]
+    squared = metric.errors(packed.reconstruct(metric.vertices)).squared[8, 0]
     assert coded.squared[0] <= part**2 * (1.0 + 1e-9)
     added = squared - table.squared_error(256, 8)[0]
     assert np.sqrt(added) == pytest.approx(np.sqrt(coded.squared[0]), rel=0.2)

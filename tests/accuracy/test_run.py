@@ -103,7 +103,7 @@ def test_a_spectrum_instead_of_maps():
     with plan_scene(mesh, exact) as planned:
         vectors = compute_transfer(planned).vectors[:, 0].astype(np.float64)
     mine = np.zeros_like(vectors)
-    mine[:, : (found.packed.bandlimit + 1) ** 2] = found.packed.reconstruct()
+    mine[:, : (found.packed.bandlimit + 1) ** 2] = found.packed.reconstruct()[:, 0]
     weights = np.repeat(1.0 / (1.0 + np.arange(21.0)), 2 * np.arange(21) + 1)
     brute = np.linalg.norm((mine - vectors) * weights) / np.linalg.norm(vectors * weights)
     assert found.verification.error[0] == pytest.approx(brute, rel=0.1)

@@ -52,7 +52,7 @@ def test_nothing_is_finer_than_what_noise_leaves(noisy, caplog):
     assert "a noise of 0.3 in the transfer, which is coded to a tolerance of 0.1: at 0.01" in caplog.text
     assert packed.predicted_error == pytest.approx(NOISE / 3.0, rel=0.1)
     assert packed.path_noise == NOISE
-    error = np.linalg.norm(packed.reconstruct() - noisy.vectors[:, 0]) / np.linalg.norm(noisy.vectors)
+    error = np.linalg.norm(packed.reconstruct()[:, 0] - noisy.vectors[:, 0]) / np.linalg.norm(noisy.vectors)
     assert error == pytest.approx(NOISE / 3.0, rel=0.1)
     as_fine_as_asked = compress(replace(noisy, noise=None), tolerance=0.01, clusters=8)
     assert packed.bytes_per_vertex < 0.6 * as_fine_as_asked.bytes_per_vertex

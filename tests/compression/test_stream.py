@@ -36,7 +36,7 @@ NO_TOLERANCES = (0.0, 1.0, 1, 2, -0.1, math.nan, math.inf, True, "0.1")
 
 def error(packed, transfer) -> float:
     reference = transfer.vectors[:, 0]
-    return float(np.linalg.norm(packed.reconstruct() - reference) / np.linalg.norm(reference))
+    return float(np.linalg.norm(packed.reconstruct()[:, 0] - reference) / np.linalg.norm(reference))
 
 
 def problem_of(transfer, count: int) -> Problem:
@@ -73,9 +73,19 @@ def test_error_falls_with_terms(basis, shadowed):
     assert all(later <= earlier * (1 + 1e-6) for earlier, later in pairwise(errors))
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_vectors_come_back_in_the_shape_that_they_had(shadowed, channels):
+    """(V, channels, M) everywhere, so that what takes the one takes the other."""
+    whole = dataclasses.replace(shadowed, vectors=np.repeat(shadowed.vectors, channels, axis=1))
+    packed = compress(whole, "none")
+    assert packed.reconstruct().shape == whole.vectors.shape
+    assert packed.reconstruct(np.array([5, 2])).shape == (2, channels, 49)
+    np.testing.assert_allclose(packed.reconstruct(), whole.vectors, atol=1e-6)
+
+
 def test_none_keeps_everything(shadowed):
     packed = compress(shadowed, "none")
-    np.testing.assert_allclose(packed.reconstruct(), shadowed.vectors[:, 0], atol=1e-6)
+    np.testing.assert_allclose(packed.reconstruct()[:, 0], shadowed.vectors[:, 0], atol=1e-6)
     assert packed.terms == 49
     assert packed.basis == "none"
 
@@ -152,7 +162,7 @@ def test_tolerance_is_kept(basis, tolerance, coding, shadowed):
     if full:
         return
     vectors = shadowed.vectors[:, 0].astype(np.float64)
-    missed, energy = ((each**2).sum(axis=1) for each in (packed.reconstruct() - vectors, vectors))
+    missed, energy = ((each**2).sum(axis=1) for each in (packed.reconstruct()[:, 0] - vectors, vectors))
     found = missed.sum() / energy.sum()
     # Without coding nothing is measured on all vertices: the pilot foretells it, which is a sample of them.
     deviation = np.std(missed - found * energy) / math.sqrt(PILOT_SIZE) / energy.mean()

@@ -108,7 +108,7 @@ def test_what_is_lost_is_the_mean_over_rotations_of_the_light(packed, coloured, 
     """The loss that is told, against vectors that are made again from the numbers that are written."""
     for one in (packed, coloured):
         ambient = ambient_part(one, what, {"now": light})
-        vectors = one.reconstruct().reshape(one.vertex_count, one.channels, -1).astype(float)
+        vectors = one.reconstruct().astype(float)
         again = vectors_again(what, ambient.values.astype(float), ambient.occlusion.astype(float), one.mesh.normals)
         off, size = (radiance_squared(v, light) for v in (again - vectors, vectors))
         np.testing.assert_allclose(ambient.measured["now"], math.sqrt(off / size), rtol=1e-5)

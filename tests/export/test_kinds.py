@@ -20,7 +20,7 @@ from slepian_prt.export.model import export_model
         (
             "a.glb",
             {"what": "light"},
-            r"^what must be one of transfer, occlusion, bent-normals, sky-visibility, l1, not",
+            r"^what must be one of transfer, occlusion, bent-normals, sky-visibility, l1, games202, not",
         ),
         ("a.glb", {"attributes": "half"}, r"^attributes must be one of bytes, float, texture, not 'half'$"),
         ("a.glb", {"functions": 12}, "^functions must be a multiple of 8"),

@@ -19,7 +19,7 @@ WAYS = [{"tolerance": 0.02}, {"terms": 3}, {"terms": 3, "refine": True}, {"terms
 
 def error(packed, transfer) -> float:
     reference = transfer.vectors[:, 0]
-    return float(np.linalg.norm(packed.reconstruct() - reference) / max(np.linalg.norm(reference), 1e-30))
+    return float(np.linalg.norm(packed.reconstruct()[:, 0] - reference) / max(np.linalg.norm(reference), 1e-30))
 
 
 def with_vectors(transfer: Transfer, vectors: np.ndarray) -> Transfer:

@@ -50,7 +50,7 @@ def falling(rng):
 
 
 def vectors_of(packed):
-    return packed.reconstruct().reshape(packed.vertex_count, packed.channels, -1)
+    return packed.reconstruct()
 
 
 @pytest.mark.parametrize("functions", [8, 16, 24, 32])
@@ -257,6 +257,21 @@ def test_wrong_numbers(packed, arguments, message):
         gpu_transfer(packed, **arguments)
 
 
-def test_light_of_another_bandlimit(packed):
-    with pytest.raises(UserError, match="lighting must have shape"):
-        gpu_transfer(packed).relight(np.zeros((3, 4)))
+def test_light_of_another_bandlimit_is_cut_or_filled_up(packed, rng):
+    gpu, size = gpu_transfer(packed), (packed.bandlimit + 1) ** 2
+    longer = rng.normal(size=(3, (packed.bandlimit + 3) ** 2))
+    filled = np.where(np.arange(size) < 4, longer[:, :size], 0.0)
+    assert_exact(gpu.relight(longer), gpu.relight(longer[:, :size]), "the same numbers")
+    assert_exact(gpu.relight(longer[:, :4]), gpu.relight(filled), "the same numbers")
+    for wrong in ((3, 5), (2, 3, 4), (4,)):
+        with pytest.raises(UserError, match=r"lighting must have shape \(3, n²\)"):
+            gpu.relight(np.zeros(wrong))
+
+
+def test_errors_are_told_under_light_of_another_bandlimit(packed, rng):
+    gpu, size = gpu_transfer(packed), (packed.bandlimit + 1) ** 2
+    longer = rng.normal(size=(3, (packed.bandlimit + 3) ** 2))
+    filled = np.where(np.arange(size) < 4, longer[:, :size], 0.0)
+    for tell in (gpu.error, gpu.relit_error, packed.predicted_relit_error):
+        assert tell(longer) == tell(longer[:, :size])
+        assert tell(longer[:, :4]) == tell(filled)

@@ -220,3 +220,37 @@ def test_whole_sphere():
 def test_bad_regions(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("extend", [False, True])
+def test_samples_of_shtools_are_cells_about_their_points(extend, rng):
+    """A mask as SHTOOLS has it, taken by `mask_region` as its help says: points next to each sample have its value."""
+    pysh = pytest.importorskip("pyshtools")
+    grid = pysh.SHGrid.from_zeros(5, grid="DH", sampling=2, extend=extend)
+    mask = rng.random(grid.data.shape) < 0.5
+    if extend:  # the last column is the first, and a pole is one point
+        mask[:, -1], mask[-1] = mask[:, 0], mask[-1, 0]
+    height, width = len(mask) - extend, mask.shape[1] - extend
+    rows = np.minimum((np.arange(2 * height) + 1) // 2, len(mask) - 1)
+    columns = (np.arange(2 * width) + 1) // 2 % width
+    region = mask_region(mask[np.ix_(rows, columns)])
+    latitudes, longitudes = np.radians(grid.lats()), np.radians(grid.lons())
+    inside = slice(1, None if not extend else -1)  # poles have no sides
+    for down, right in ((0.4, 0.4), (-0.4, 0.4), (0.4, -0.4), (-0.4, -0.4)):
+        latitude, longitude = np.meshgrid(
+            latitudes[inside] - down * math.pi / height, longitudes + right * 2.0 * math.pi / width, indexing="ij"
+        )
+        d = np.stack(
+            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+        )
+        assert_exact(region.contains(d.reshape(-1, 3)), mask[inside].ravel(), "truth values")
+
+
+def test_cells_are_not_the_samples_of_shtools():
+    """One sample on the equator, as a cell: the middle of the region is half a cell down and to the right of it."""
+    mask = np.zeros((12, 24))
+    mask[6, 3] = 1.0
+    directions, weights = mask_region(mask).rule(1)
+    middle = weights @ directions
+    assert np.degrees(np.arctan2(middle[1], middle[0])) == pytest.approx(3.5 * 15.0, abs=1e-9)
+    assert np.degrees(np.arcsin(middle[2] / np.linalg.norm(middle))) == pytest.approx(-7.5, abs=0.03)

@@ -15,6 +15,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError, check_integer
 from slepian_prt.files import check_writable
 from slepian_prt.lighting.environment import Environment, read_environment
+from slepian_prt.lighting.light_text import is_light_text
 from slepian_prt.relighting.drawing.drawings import open_drawing
 from slepian_prt.relighting.drawing.pictures import MAP, Finish, Picture, display, linear, write_picture
 from slepian_prt.relighting.drawing.shots import Shots
@@ -157,7 +158,8 @@ def _draw(
         raise UserError(f"a picture is of one light, not of {len(coefficients)}; draw them one by one")
 
     def environments() -> tuple[Environment, ...]:
-        read = read_environment(environment) if isinstance(environment, str | Path) else environment
+        of_file = isinstance(environment, str | Path) and not is_light_text(environment)
+        read = read_environment(environment) if of_file else environment
         return (read.turned(up_rotation(up)),) if isinstance(read, Environment) else ()
 
     own = (np.eye(3),) if lighting is None else None

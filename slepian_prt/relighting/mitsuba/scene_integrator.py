@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
+from slepian_prt.lighting.fitting import one_light
 from slepian_prt.relighting.mitsuba.held_files import HeldFile, named_in_memory
 from slepian_prt.relighting.mitsuba.integrator import NAME, register
 
@@ -32,7 +32,7 @@ def scene_integrator(
     ----------
     mi : Mitsuba, in the ``llvm_*`` or ``cuda_*`` variant of the scene
     packed : CompressedTransfer
-    lighting : (3, (L+1)²), optional
+    lighting : (3, n²), optional
         Distant light in the world of the file that held surfaces are lit by, in place of the scene's own emitter.
     lamps : mapping of str to Mitsuba emitter, optional
         The scene's lamps by the names that the file has for them, as of `lamp_places`; by default they are found.
@@ -46,12 +46,7 @@ def scene_integrator(
     """
     coefficients = None
     if lighting is not None:
-        wanted = (3, (packed.bandlimit + 1) ** 2)
-        coefficients = np.asarray(lighting, dtype=np.float64)
-        if coefficients.shape != wanted:
-            raise UserError(f"lighting must have shape {wanted}, not {coefficients.shape}")
-        if not np.isfinite(coefficients).all():
-            raise UserError("lighting must be finite")
+        coefficients = one_light(np.asarray(lighting, dtype=np.float64), packed.bandlimit)
     register()
     properties = mi.Properties(NAME)
     properties["albedo"] = albedo

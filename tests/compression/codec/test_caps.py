@@ -211,7 +211,7 @@ def test_coded_is_far_smaller_than_float16_at_the_same_error():
     coded = compress(transfer, tolerance=0.05, clusters=24)
     plain = compress(transfer, tolerance=0.05, clusters=24, coding="float16")
     for packed in (coded, plain):
-        error = np.linalg.norm(packed.reconstruct() - reference) / np.linalg.norm(reference)
+        error = np.linalg.norm(packed.reconstruct()[:, 0] - reference) / np.linalg.norm(reference)
         assert error == pytest.approx(0.05, rel=0.1)
     assert coded.bytes_per_vertex < 0.1 * plain.bytes_per_vertex
 
@@ -220,7 +220,7 @@ def test_convex_mesh_needs_next_to_nothing():
     """What the normal tells is all there is."""
     transfer = precompute(sphere(5), bandlimit=6, samples=16)
     packed = compress(transfer, tolerance=0.01, clusters=24)
-    error = np.linalg.norm(packed.reconstruct() - transfer.vectors[:, 0]) / np.linalg.norm(transfer.vectors)
+    error = np.linalg.norm(packed.reconstruct()[:, 0] - transfer.vectors[:, 0]) / np.linalg.norm(transfer.vectors)
     assert error <= 1e-3
     assert packed.bytes_per_vertex * len(packed.mesh.positions) < 3000  # frames and functions, no coefficients
 

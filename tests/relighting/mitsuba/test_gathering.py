@@ -152,7 +152,7 @@ def test_gathering_in_all_variants(variant, mi, floor):
 
 
 def test_lighting_that_is_wrong(mi, floor):
-    for lighting, wanted in [(np.zeros((3, 9)), r"must have shape \(3, 4\)"), (np.full((3, 4), np.nan), "be finite")]:
+    for lighting, wanted in [(np.zeros((3, 8)), r"must have shape \(3, n²\)"), (np.full((3, 4), np.nan), "be finite")]:
         with pytest.raises(sp.UserError, match=wanted):
             scene_integrator(mi, floor[1], lighting=lighting)
     for options, wanted in [({"fixed_lights": -1.0}, "fixed_lights"), ({"max_depth": -2}, "max_depth")]:

@@ -1,0 +1,67 @@
+"""Lighting of another bandlimit than the transfer's: cut, or zero in the degrees that it has not; never refused.
+
+Radiance is the product of the degrees that both have. So what is cut changes nothing, as the transfer holds nothing of
+it, and what is filled up is the light that was given, as smooth as it was.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slepian_prt.errors import UserError
+from slepian_prt.sphere.harmonics import bandlimit_of, num_coefficients
+
+log = logging.getLogger(__name__)
+
+
+def is_lighting(shape: tuple[int, ...]) -> bool:
+    """Whether an array of that shape holds coefficients: (3, n²), or (B, 3, n²) of B > 0 lights."""
+    square = len(shape) in (2, 3) and shape[-1] > 0 and math.isqrt(shape[-1]) ** 2 == shape[-1]
+    return square and shape[-2] == 3 and 0 not in shape
+
+
+def fit_lighting(lighting: NDArray, bandlimit: int) -> NDArray:
+    """Lighting (…, n²) at a bandlimit, (…, (L+1)²): cut or filled up with zeros, with a remark; else as it is."""
+    given, size = bandlimit_of(lighting.shape[-1]), num_coefficients(bandlimit)
+    if given == bandlimit:
+        return lighting
+    _remark(given, bandlimit)
+    fitted = np.zeros((*lighting.shape[:-1], size), dtype=lighting.dtype)
+    kept = min(size, lighting.shape[-1])
+    fitted[..., :kept] = lighting[..., :kept]
+    return fitted
+
+
+def one_light(lighting: ArrayLike, bandlimit: int) -> NDArray:
+    """Coefficients (3, n²) of one light at a bandlimit, as `fit_lighting` has them.
+
+    Raises
+    ------
+    UserError
+        Of another shape, or not finite.
+    """
+    values = np.asarray(lighting)
+    if values.ndim != 2 or not is_lighting(values.shape):
+        raise UserError(f"lighting must have shape (3, n²), n² harmonics in red, green and blue, not {values.shape}")
+    if not np.isfinite(values).all():
+        raise UserError("lighting must be finite; check the map that it was projected from")
+    return fit_lighting(values, bandlimit)
+
+
+@cache
+def _remark(given: int, wanted: int) -> None:
+    """Once: a hundred lights of an animation would say the same."""
+    if given > wanted:
+        log.warning("lighting of bandlimit %d is cut to %d, that of the transfer", given, wanted)
+    else:
+        dark = f"degree {wanted}" if given + 1 == wanted else f"degrees {given + 1} to {wanted}"
+        log.warning(
+            "lighting of bandlimit %d counts as dark in %s of the transfer; project its map at bandlimit %d for all of "
+            "its light",
+            given, dark, wanted,
+        )  # fmt: skip

@@ -1,0 +1,127 @@
+"""What the viewer of GAMES202 reads, read here as its engine.js and three.js read it."""
+
+import math
+
+import numpy as np
+import pytest
+
+import slepian_prt as sp
+from slepian_prt.errors import UserError
+from slepian_prt.export.kinds import check_export
+
+
+def their_reader(text):
+    """``val.split(/[\\r\\n' ']+/)`` of engine.js: all numbers but the first, and the last empty one."""
+    words = text.replace("\n", " ").split(" ")
+    words = [word for word in words if word] + [""]
+    return np.array([float(word) for word in words[1:-1]]).reshape(-1, 9)
+
+
+def obj_corners(path):
+    """Positions of the corners, triangle by triangle, as three.js's OBJLoader lays them out."""
+    positions, corners = [], []
+    for line in path.read_text().splitlines():
+        head, *words = line.split()
+        if head == "v":
+            positions.append([float(word) for word in words])
+        elif head == "f":
+            corners += [int(word.split("/")[0]) - 1 for word in words]
+    return np.array(positions)[corners]
+
+
+def test_corners_of_the_mesh_beside_have_its_transfer(packed, tmp_path, light):
+    """The picture of their shader, Σ light × transport at each corner, is π times ours at the vertex there."""
+    told = []
+    sp.export_model(packed, tmp_path / "transport.txt", "games202", lights={"sky": light}, report=told.append)
+    rows = their_reader((tmp_path / "transport.txt").read_text())
+    assert (tmp_path / "transport.txt").read_text().split("\n", 1)[0] == str(packed.vertex_count)
+    np.testing.assert_allclose(
+        obj_corners(tmp_path / "transport.obj"), packed.mesh.positions[packed.mesh.faces.ravel()], rtol=1e-8, atol=1e-8
+    )
+    lines = [[float(word) for word in line.split()] for line in (tmp_path / "light.txt").read_text().splitlines()]
+    assert np.shape(lines) == (9, 3)
+    ours = packed.reconstruct()[packed.mesh.faces.ravel(), 0, :9] @ light[:, :9].T
+    np.testing.assert_allclose(rows @ np.array(lines), math.pi * ours, rtol=0.0, atol=1e-5 * np.abs(ours).max())
+    assert told == [f"{tmp_path / 'transport.txt'}: GAMES202 has degrees 0 to 2; 3 to 4 are left out"]
+
+
+def test_what_is_written_is_read_back(packed, tmp_path):
+    sp.export_model(packed, tmp_path / "transport.txt", "games202")
+    read = sp.load_transfer(tmp_path / "transport.txt", mesh=tmp_path / "transport.obj")
+    np.testing.assert_allclose(read.vectors, packed.reconstruct()[:, :, :9], rtol=1e-6, atol=1e-9)
+    assert not (tmp_path / "light.txt").exists()
+
+
+def test_its_error_is_that_of_leaving_out_degrees(packed, tmp_path, light):
+    exported = sp.export_model(packed, tmp_path / "transport.txt", "games202", lights={"sky": light})
+    vectors = packed.reconstruct()[:, 0].astype(float)
+    missed, whole = vectors[:, 9:] @ light[:, 9:].T, vectors @ light.T
+    assert exported.measured["sky"] == pytest.approx(np.linalg.norm(missed) / np.linalg.norm(whole), rel=1e-5)
+    assert 0.0 < exported.error < exported.relit_error
+
+
+def test_colours_become_their_mean_and_it_is_said(coloured, tmp_path):
+    told = []
+    sp.export_model(coloured, tmp_path / "t.txt", "games202", report=told.append)
+    rows = their_reader((tmp_path / "t.txt").read_text())
+    mean = coloured.reconstruct().mean(axis=1)[coloured.mesh.faces.ravel(), :9]
+    np.testing.assert_allclose(rows, math.pi * mean, rtol=1e-5, atol=1e-7)
+    assert "one number for all colours" in told[1]
+
+
+def test_several_lights_have_a_file_each(packed, tmp_path, light):
+    sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky.exr": light, "b": 2.0 * light})
+    assert {path.name for path in tmp_path.iterdir()} == {"t.txt", "t.obj", "light-sky.txt", "light-b.txt"}
+
+
+def test_degrees_that_are_not_there_are_zero(tmp_path, packed):
+    low = sp.compress(
+        sp.Transfer(packed.reconstruct()[:, :, :4], packed.mesh.normals, packed.mesh, packed.parts, 1, 16, 0, (), 0, 0),
+        "none",
+    )
+    sp.export_model(low, tmp_path / "t.txt", "games202")
+    assert not their_reader((tmp_path / "t.txt").read_text())[:, 4:].any()
+
+
+def test_a_mesh_of_ones_own_is_not_replaced(packed, tmp_path):
+    (tmp_path / "bunny.obj").write_text("v 0 0 0\n")
+    with pytest.raises(UserError, match=r"bunny\.obj: would be replaced"):
+        sp.export_model(packed, tmp_path / "bunny.txt", "games202")
+    assert (tmp_path / "bunny.obj").read_text() == "v 0 0 0\n"
+    sp.export_model(packed, tmp_path / "t.txt", "games202")
+    sp.export_model(packed, tmp_path / "t.txt", "games202")  # one's own export may be
+
+
+def test_other_kinds_of_files_are_refused(tmp_path):
+    for what, name, message in (
+        ("games202", "a.glb", r"games202 is written as \.txt, not '\.glb'"),
+        ("transfer", "a.txt", r"transfer is written as \.glb, not '\.txt'; `what=games202` is written as \.txt"),
+    ):
+        with pytest.raises(UserError, match=message):
+            check_export(tmp_path / name, what, None, None)
+
+
+def test_the_command_writes_them(packed, tmp_path, capsys):
+    from slepian_prt.cli import main
+
+    packed.save(tmp_path / "a.prt")
+    sky = sp.example("sky")
+    arguments = [
+        "export",
+        tmp_path / "a.prt",
+        "--as",
+        "games202",
+        "--environment",
+        sky,
+        "-o",
+        tmp_path / "transport.txt",
+    ]
+    assert main([str(word) for word in arguments]) == 0
+    assert (tmp_path / "light.txt").exists()
+    captured = capsys.readouterr()
+    assert "note: " in captured.err
+    assert "3 to 4 are left out" in captured.err
+    assert "as games202, which costs" in captured.out
+    np.testing.assert_allclose(
+        sp.project_environment(tmp_path / "light.txt", 2), sp.project_environment(sky, 2), rtol=1e-12, atol=1e-12
+    )

@@ -1,0 +1,45 @@
+"""The comparison of conventions sees what differs, and says in a line what it cannot have."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+
+
+@pytest.fixture
+def own_code(monkeypatch):
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    from conventions import own_code
+
+    return own_code
+
+
+def test_their_own_code_agrees(own_code, tmp_path):
+    pytest.importorskip("pyshtools")
+    assert own_code.shtools(own_code.Workshop(tmp_path, None)) < 1e-12
+
+
+def test_a_wrong_sign_is_seen(own_code):
+    import slepian_prt as sp
+
+    def without_phase(coefficients):
+        return np.abs(sp.real_sh(2, own_code.DIRECTIONS)) @ coefficients.T
+
+    assert own_code._each("google", 2, without_phase) > 0.5
+
+
+def test_what_cannot_be_had_is_said_in_a_line(own_code, tmp_path):
+    workshop = own_code.Workshop(tmp_path, None)
+    with pytest.raises(own_code.Missing, match="no-such-program"):
+        workshop.run("no-such-program")
+    with pytest.raises(own_code.Missing, match=r"failed \(.*why\)$"):
+        workshop.run(sys.executable, "-c", "import sys; sys.exit('this is\\nwhy')")
+
+
+def test_checkouts_that_are_there_are_taken(own_code, tmp_path):
+    (tmp_path / "sources" / "PIFu").mkdir(parents=True)
+    workshop = own_code.Workshop(tmp_path, tmp_path / "sources")
+    assert workshop.checkout("PIFu") == tmp_path / "sources" / "PIFu"
