@@ -84,9 +84,8 @@ def plane_lines() -> list[str]:
             """On a small cap the sphere's problem becomes that of a disc of the plane (Slepian 1964; Simons,
             Dahlen and Wieczorek 2006), of which only c = (L+1)Θ counts. `sp.disc_concentrations(c)` solves that
             one by finite Hankel transforms, order by order. The largest difference of any concentration falls
-            to a quarter as L doubles.
-            A small region of the sphere of any other shape is one of the plane, with (L+1) times its size for the product of
-            bandlimit and size:"""
+            to a quarter as L doubles. A small region of the sphere of any other shape is one of the plane, with
+            (L+1) times its size for the product of bandlimit and size:"""
         ),
         *table(("c", *(f"L = {l}" for l in bandlimits)), rows),
     ]
