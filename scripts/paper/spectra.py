@@ -26,11 +26,11 @@ def paper_figure_2() -> None:
             _mark_numbers(axis, bandlimit, math.radians(angle), color)
         # From 0 on: N is 0.27 at L = 5, Θ = 10°.
         axis.set_xlim(0.0, min((bandlimit + 1) ** 2, 60 if bandlimit == 20 else 36))
-        axis.set_title(f"L = {bandlimit}")
         axis.set_xlabel("index")
         axis.set_ylabel("concentration λ")
         axis.grid(True, color="#dddddd", linewidth=0.6)
-        axis.legend(edgecolor="none", framealpha=0.95, loc="upper right", title="dotted N, dash-dotted N_g(0.01)")
+        title = f"L = {bandlimit};  dotted N, dash-dotted N_g({EPSILON:g})"
+        axis.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, handlelength=1.4, title=title)
     save(figure, "paper_figure_2")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,12 +39,12 @@ def by_shannon(
     candidates: Sequence[Candidate], caps: tuple[Cap, ...], bandlimit: int, rule: str, epsilon: float
 ) -> NDArray[np.int64]:
     """The cap's Shannon number: ``n_g`` of the paper, ``n_ref``, or the exact ``count`` of concentrations above ε."""
-    numbers = {
+    numbers: dict[str, Callable[[int, float, float], float]] = {
         "n_g": generalized_shannon_number,
         "n_ref": refined_shannon_number,
         "count": concentration_count,
-    }[rule]
-    wanted = [max(1, math.ceil(numbers(bandlimit, cap.half_angle, epsilon))) for cap in caps]
+    }
+    wanted = [max(1, math.ceil(numbers[rule](bandlimit, cap.half_angle, epsilon))) for cap in caps]
     return np.array([min(k, c.energies.size) for k, c in zip(wanted, candidates, strict=True)])
 
 
