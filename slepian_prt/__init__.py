@@ -56,6 +56,7 @@ Counting functions
     line_concentrations             Concentrations of functions on the line, in an interval.
     line_number                     Slepian's estimate of how many of them are above a threshold.
     disc_concentrations             Concentrations on a disc of the plane, the limit of small caps.
+    DiscSpectrum                    The result, with the order of each.
     effective_dimension             How many functions light transport takes around each vertex of a model.
     EffectiveDimension              The result: for each vertex, with quantiles by area.
 Plots
