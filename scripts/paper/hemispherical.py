@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import cache
 from typing import NamedTuple
 
 import matplotlib.pyplot as plt
@@ -150,14 +151,10 @@ def _errors(model: Model, method: str) -> Iterator[tuple[float, float]]:
         )
 
 
-_TRANSFERS: dict[str, tuple[sp.Transfer, NDArray[np.float64]]] = {}
-
-
+@cache
 def _traced(model: Model) -> tuple[sp.Transfer, NDArray[np.float64]]:
-    """Transfer and light of a model, traced once."""
-    if model.name not in _TRANSFERS:
-        _TRANSFERS[model.name] = sp.precompute(model.mesh, BANDLIMIT, 1024), model.lighting(BANDLIMIT)
-    return _TRANSFERS[model.name]
+    """Transfer and light of a model."""
+    return sp.precompute(model.mesh, BANDLIMIT, 1024), model.lighting(BANDLIMIT)
 
 
 def _small(value: float) -> str:

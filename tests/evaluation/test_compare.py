@@ -72,7 +72,7 @@ def test_results_have_the_stable_names(comparison):
         assert set(method["relit_error"]) == set(method["image_error"]) == {"first", "second"}
         # 40 is more than the bandlimit has; slepian lacks some functions of it
         assert method["terms"] in (4, 9, 16, 24, 25) or method["coding"] == "coded"
-        assert method["predicted_error"] is not None or method["basis"] in ("haar", "d3dx")
+        assert method["predicted_error"] is not None or method["basis"] in ("haar", "hsh", "d3dx")
     assert {stage["environment"] for stage in results["ladder"]} == {"first", "second"}
     assert all({"stage", "error", "seconds"} <= set(stage) for stage in results["ladder"])
     assert all(0 < r["noise"] < 0.2 for r in results["references"].values())

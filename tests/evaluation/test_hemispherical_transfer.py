@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from slepian_prt.compression.grouping import group_transfer
+from slepian_prt.compression.settings import CompressionSettings
 from slepian_prt.evaluation.hemispherical_transfer import hemispherical_transfer
+from slepian_prt.evaluation.methods import METHODS, Workload
 from slepian_prt.evaluation.metrics import relative_rms
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.slepian.kernels import cosine_lobe
@@ -14,6 +17,7 @@ from slepian_prt.sphere.hemispherical import hemispherical_sh
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.transport.transfer import Transfer, precompute
 from tests.conftest import bumpy
+from tests.numerics import assert_exact
 from tests.sphere.test_hemispherical import hemisphere_rule
 
 FLOAT16 = 2.0**-11
@@ -82,6 +86,18 @@ def test_two_bytes_a_function_and_whole_degrees(shadowed):
     assert hemispherical_transfer(shadowed, 16).bytes_per_vertex == 32.0
     odd = hemispherical_transfer(shadowed, 15)
     assert (odd.terms, odd.bytes_per_vertex) == (9, 18.0)
+
+
+def test_method_keeps_whole_degrees(shadowed):
+    """Of 12 functions asked for 9, which is what the run says; a light shows them."""
+    told: list[str] = []
+    light = np.ones((3, 49))
+    work = Workload(shadowed, group_transfer(CompressionSettings(clusters=4), shadowed), [light], (4, 12), told.append)
+    runs = list(METHODS["hsh"].run(work))
+    assert [(run.terms, run.wanted_terms, run.transfer.bytes_per_vertex) for run in runs] == [(4, 4, 8), (9, 12, 18)]
+    assert told == ["hsh, 4 terms", "hsh, 12 terms"]
+    assert runs[1].compressed is None
+    assert_exact(runs[1].radiance(light), runs[1].transfer.radiance(light), "one passes the other on")
 
 
 def test_vertices_without_a_normal_stay_dark(ball):

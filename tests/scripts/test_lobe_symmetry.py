@@ -56,6 +56,8 @@ def test_lobes_of_mitsuba_are_symmetric_toward_the_normal():
 
     with mitsuba() as mi:
         bsdf = mi.load_dict({"type": "roughconductor", "material": "none", "alpha": 0.3, "distribution": "ggx"})
-        straight, slanted = (symmetric_part(lobe_toward(mi, bsdf, angle), angle).part for angle in (0.0, 1.2))
-    assert straight == pytest.approx(1.0, abs=1e-5)  # float32
-    assert slanted < 0.9
+        parts = [symmetric_part(lobe_toward(mi, bsdf, angle), angle).part for angle in (0.0, 0.5, 1.2)]
+        wrong = symmetric_part(lobe_toward(mi, bsdf, 0.5), -0.5).part
+    assert parts[0] == pytest.approx(1.0, abs=1e-5)  # float32
+    assert parts[0] > parts[1] > 0.97 > parts[2]
+    assert wrong < 0.5  # the lobe lies on the other side of the normal

@@ -155,7 +155,7 @@ def test_other_counts_are_told(count):
         h_basis(count, [0, 0, 1])
 
 
-@pytest.mark.parametrize(("bandlimit", "hemispherical"), [(0, 0), (10, 4), (3, 12), (25, 25)])
+@pytest.mark.parametrize(("bandlimit", "hemispherical"), [(0, 0), (10, 4), (3, 12), (20, 20)])
 def test_integrals_of_both_kinds(bandlimit, hemispherical):
     directions, weights = hemisphere_rule(2 * (bandlimit + hemispherical) + 40, bandlimit + hemispherical + 2)
     expected = (real_sh(bandlimit, directions) * weights[:, None]).T @ hemispherical_sh(hemispherical, directions)
