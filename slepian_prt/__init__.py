@@ -45,12 +45,12 @@ Functions on the sphere
     zonal_coefficients              Zonal coefficients of any lobe.
     measured_moment, SecondMoment   Second moment of transfer vectors in their own frames.
 Counting functions
+    effective_dimension             How many functions light transport takes around each vertex of a model.
+    EffectiveDimension              The result: for each vertex, with quantiles by area.
     shannon_number                  N, the sum of all concentrations.
     generalized_shannon_number      N_g of Lessig & Fiume (2010).
     refined_shannon_number          N_ref, two-term asymptotics.
     concentration_count             How many concentrations are above a threshold, exactly.
-    effective_dimension             How many functions light transport takes around each vertex of a model.
-    EffectiveDimension              The result: for each vertex, with quantiles by area.
 Plots
     plot_picture                    A relit model, on Matplotlib axes.
     plot_errors                     Errors that `slepian-prt compare` measured, against bytes or functions.
