@@ -48,6 +48,8 @@ Functions on the sphere
     zonal_coefficients              Zonal coefficients of any lobe.
     measured_moment, SecondMoment   Second moment of transfer vectors in their own frames.
 Counting functions
+    effective_dimension             How many functions light transport takes around each vertex of a model.
+    EffectiveDimension              The result: for each vertex, with quantiles by area.
     shannon_number                  N, the sum of all concentrations.
     generalized_shannon_number      N_g of Lessig & Fiume (2010).
     refined_shannon_number          N_ref, two-term asymptotics.
@@ -57,8 +59,6 @@ Counting functions
     line_number                     Slepian's estimate of how many of them are above a threshold.
     disc_concentrations             Concentrations on a disc of the plane, the limit of small caps.
     DiscSpectrum                    The result, with the order of each.
-    effective_dimension             How many functions light transport takes around each vertex of a model.
-    EffectiveDimension              The result: for each vertex, with quantiles by area.
 Plots
     plot_picture                    A relit model, on Matplotlib axes.
     plot_errors                     Errors that `slepian-prt compare` measured, against bytes or functions.

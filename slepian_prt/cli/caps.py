@@ -40,12 +40,13 @@ def print_caps(packed: CompressedTransfer, error: float, content: dict[str, Any]
                 str(row.cap),
                 str(row.vertices),
                 f"{math.degrees(row.half_angle):.1f}",
-                str(row.expected),
+                "none" if row.expected is None else str(row.expected),
                 f"{row.dimension:.1f}",
                 f"{row.coherence:.2f}",
             ]
             for row in rows
         ],
+        spare=("vertices", "coherence"),
     )
     if rows:
         say(_in_words(rows, error, EPSILON))
@@ -65,9 +66,15 @@ def _as_dict(row: CapDimension) -> dict[str, Any]:
 def _in_words(rows: Sequence[CapDimension], error: float, epsilon: float) -> str:
     functions = rows[0].functions
     measured = math.ceil(median(row.dimension for row in rows))
-    expected = math.ceil(median(row.expected for row in rows))
-    return (
+    text = (
         f"a cap has effective dimension {measured} of {functions}, coherence {1.0 - measured / functions:.2f} (the "
-        f"median of {len(rows)}; error {100.0 * error:.3g} %); the paper counts {expected} concentrations above "
-        f"{epsilon:g} in caps of {math.degrees(median(row.half_angle for row in rows)):.0f} degrees"
+        f"median of {len(rows)}; error {100.0 * error:.3g} %)"
+    )
+    counts = [row.expected for row in rows if row.expected is not None]
+    if not counts:
+        return text
+    degrees = math.degrees(median(row.half_angle for row in rows))
+    return (
+        f"{text}; the paper counts {math.ceil(median(counts))} concentrations above {epsilon:g} in caps of "
+        f"{degrees:.0f} degrees"
     )

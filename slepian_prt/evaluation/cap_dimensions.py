@@ -29,8 +29,9 @@ class CapDimension:
         That receive light.
     half_angle : float
         Radians.
-    expected : int
-        Concentrations of the cap above `EPSILON`: the dimension by the paper, without shadows.
+    expected : int or None
+        Concentrations of the cap above `EPSILON`: the dimension by the paper, without shadows. None for pixels, whose
+        caps are of no normals.
     dimension : float
         Of the transfer vectors of the cap, see `effective_dimension`.
     functions : int
@@ -40,7 +41,7 @@ class CapDimension:
     cap: int
     vertices: int
     half_angle: float
-    expected: int
+    expected: int | None
     dimension: float
     functions: int
 
@@ -66,7 +67,8 @@ def cap_dimensions(packed: CompressedTransfer, error: float) -> tuple[CapDimensi
 
     error = check_error(error)
     vectors, active = packed.reconstruct(), packed.mesh.receivers.active
-    areas = vertex_areas(packed.mesh) if packed.film is None else np.ones(len(vectors))
+    is_surface = packed.film is None
+    areas = vertex_areas(packed.mesh) if is_surface else np.ones(len(vectors))
     found = []
     with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
         for number, (cap, members) in enumerate(zip(packed.clusters.caps, packed.clusters.members, strict=True)):
@@ -78,7 +80,7 @@ def cap_dimensions(packed: CompressedTransfer, error: float) -> tuple[CapDimensi
                     number,
                     int(lit.size),
                     cap.half_angle,
-                    concentration_count(packed.bandlimit, cap.half_angle, EPSILON),
+                    concentration_count(packed.bandlimit, cap.half_angle, EPSILON) if is_surface else None,
                     dimension_of_vectors(vectors[lit], areas[lit], error),
                     vectors.shape[-1],
                 )

@@ -6,6 +6,7 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ import trimesh
 
 import slepian_prt as sp
 from slepian_prt.cli import main
+from slepian_prt.cli.caps import print_caps
 from slepian_prt.compression.files.prt_file import load
-from slepian_prt.evaluation.cap_dimensions import cap_dimensions
+from slepian_prt.evaluation.cap_dimensions import CapDimension, cap_dimensions
 from tests.terminal import run_in_terminal
 
 
@@ -112,6 +114,20 @@ def test_the_dimension_of_the_whole_and_of_each_cap(coarse, capsys):
     assert lines[1].split()[-2:] == [f"{expected[0].dimension:.1f}", f"{expected[0].coherence:.2f}"]
     middle = math.ceil(np.median([row.dimension for row in expected]))
     assert lines[-1].startswith(f"a cap has effective dimension {middle} of 9, coherence {1 - middle / 9:.2f} (the med")
+
+
+def test_caps_of_pixels_are_not_held_against_the_paper(capsys):
+    """Theirs are directions of light: there is no count for normals, in no form."""
+    rows = (CapDimension(3, 40, 0.2, None, 2.6, 25), CapDimension(1, 20, 0.1, None, 1.5, 25))
+    with patch("slepian_prt.evaluation.cap_dimensions.cap_dimensions", return_value=rows):
+        print_caps(None, 0.05, None)
+        lines = capsys.readouterr().out.splitlines()
+        print_caps(None, 0.05, {"film": "8 x 8 of front"})
+    assert lines[1].split() == ["3", "40", "11.5", "none", "2.6", "0.90"]
+    assert lines[-1] == "a cap has effective dimension 3 of 25, coherence 0.88 (the median of 2; error 5 %)"
+    content = json.loads(capsys.readouterr().out)
+    assert [row["by_the_paper"] for row in content["caps"]] == [None, None]
+    assert content["film"] == "8 x 8 of front"
 
 
 @pytest.mark.parametrize(
