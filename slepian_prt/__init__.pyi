@@ -7,8 +7,8 @@ from .compression.stream import compress as compress
 from .datasets.jobs import ScanResult as ScanResult
 from .datasets.precompute_set import precompute_set as precompute_set
 from .errors import UserError as UserError
-from .evaluation.dimension import EffectiveDimension as EffectiveDimension
-from .evaluation.dimension import effective_dimension as effective_dimension
+from .evaluation.dimension.estimate import EffectiveDimension as EffectiveDimension
+from .evaluation.dimension.estimate import effective_dimension as effective_dimension
 from .evaluation.drawing import plot_errors as plot_errors
 from .evaluation.drawing import plot_picture as plot_picture
 from .evaluation.drawing import plot_spectrum as plot_spectrum

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import slepian_prt as sp
-from slepian_prt.evaluation.dimension import dimension_of_vectors
-from slepian_prt.evaluation.neighbourhoods import Surface
+from slepian_prt.evaluation.dimension.estimate import dimension_of_vectors
+from slepian_prt.evaluation.dimension.neighbourhoods import Surface
 
 # Vertices whose own neighbourhoods are held against what is interpolated.
 _HELD = 400

@@ -9,7 +9,7 @@ import numpy as np
 from drawing import ROOT, save
 
 import slepian_prt as sp
-from slepian_prt.evaluation.dimension_picture import ColourScale, describe_scale, draw_dimension, draw_scale
+from slepian_prt.evaluation.dimension.picture import ColourScale, describe_scale, draw_dimension, draw_scale
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.renderer.variants import mitsuba
 

@@ -30,7 +30,9 @@ def paper_figure_2() -> None:
         axis.set_ylabel("concentration λ")
         axis.grid(True, color="#dddddd", linewidth=0.6)
         title = f"L = {bandlimit};  dotted N, dash-dotted N_g({EPSILON:g})"
-        axis.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, handlelength=1.4, title=title)
+        axis.legend(
+            frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, handlelength=1.4, title=title
+        )
     save(figure, "paper_figure_2")
 
 

@@ -15,12 +15,12 @@ from slepian_prt.cli.terminal import print_table
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
-    from slepian_prt.evaluation.cap_dimensions import CapDimension
+    from slepian_prt.evaluation.dimension.caps import CapDimension
 
 
 def print_caps(packed: CompressedTransfer, error: float, content: dict[str, Any] | None) -> None:
     """A line for each cap, the largest dimension first, and one for all of them; or ``content`` and they as JSON."""
-    from slepian_prt.evaluation.cap_dimensions import EPSILON, cap_dimensions
+    from slepian_prt.evaluation.dimension.caps import EPSILON, cap_dimensions
 
     rows = cap_dimensions(packed, error)
     if content is not None:

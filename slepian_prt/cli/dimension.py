@@ -17,7 +17,7 @@ from slepian_prt.cli.values import read_transfer, settings_of
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
-    from slepian_prt.evaluation.dimension import EffectiveDimension
+    from slepian_prt.evaluation.dimension.estimate import EffectiveDimension
     from slepian_prt.transport.transfer import Transfer
 
 # Fewer vertices than these do not tell what happens in a neighbourhood.
@@ -61,8 +61,8 @@ def dimension(
     FILE is a transfer file (.prt, or .npz of Transfer.save); a SCENE (mesh or Mitsuba xml) is traced as by precompute.
     """
     from slepian_prt.cli.terminal import progress
-    from slepian_prt.evaluation.dimension import check_error, check_neighbourhood, effective_dimension
-    from slepian_prt.evaluation.dimension_files import PICTURE, check_dimension_output, write_dimension
+    from slepian_prt.evaluation.dimension.estimate import check_error, check_neighbourhood, effective_dimension
+    from slepian_prt.evaluation.dimension.files import PICTURE, check_dimension_output, write_dimension
     from slepian_prt.relighting.drawing.pictures import Finish
     from slepian_prt.scene.view import Aim
 

@@ -105,7 +105,7 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
 
 def _dimension(packed: CompressedTransfer) -> dict[str, Any]:
     """By the paper, of a cap of the median size."""
-    from slepian_prt.evaluation.cap_dimensions import EPSILON, count_concentrations
+    from slepian_prt.evaluation.dimension.caps import EPSILON, count_concentrations
 
     return {
         "count": count_concentrations(packed.bandlimit, packed.typical_half_angle),

@@ -11,7 +11,7 @@ from PIL import Image
 
 import slepian_prt as sp
 from slepian_prt.cli import main
-from slepian_prt.evaluation.dimension import effective_dimension
+from slepian_prt.evaluation.dimension.estimate import effective_dimension
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.transport.transfer import Transfer
 from tests.conftest import bumpy
@@ -176,8 +176,8 @@ def test_vertices_are_those_of_the_file_in_a_mesh(tmp_path, capsys):
 
 def test_colours_are_those_of_the_scale(tmp_path):
     """A square that faces the camera, of one dimension but for a corner: neither shade nor interpolation changes it."""
-    from slepian_prt.evaluation.dimension import EffectiveDimension
-    from slepian_prt.evaluation.dimension_picture import ColourScale, draw_dimension
+    from slepian_prt.evaluation.dimension.estimate import EffectiveDimension
+    from slepian_prt.evaluation.dimension.picture import ColourScale, draw_dimension
     from slepian_prt.relighting.drawing.camera import relit_camera
     from slepian_prt.renderer.variants import mitsuba
     from slepian_prt.scene.view import Aim

@@ -16,7 +16,7 @@ import slepian_prt as sp
 from slepian_prt.cli import main
 from slepian_prt.cli.caps import print_caps
 from slepian_prt.compression.files.prt_file import load
-from slepian_prt.evaluation.cap_dimensions import CapDimension, cap_dimensions
+from slepian_prt.evaluation.dimension.caps import CapDimension, cap_dimensions
 from tests.terminal import run_in_terminal
 
 
@@ -119,7 +119,7 @@ def test_the_dimension_of_the_whole_and_of_each_cap(coarse, capsys):
 def test_caps_of_pixels_are_not_held_against_the_paper(capsys):
     """Theirs are directions of light: there is no count for normals, in no form."""
     rows = (CapDimension(3, 40, 0.2, None, 2.6, 25), CapDimension(1, 20, 0.1, None, 1.5, 25))
-    with patch("slepian_prt.evaluation.cap_dimensions.cap_dimensions", return_value=rows):
+    with patch("slepian_prt.evaluation.dimension.caps.cap_dimensions", return_value=rows):
         print_caps(None, 0.05, None)
         lines = capsys.readouterr().out.splitlines()
         print_caps(None, 0.05, {"film": "8 x 8 of front"})

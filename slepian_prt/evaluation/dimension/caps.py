@@ -62,8 +62,8 @@ def cap_dimensions(packed: CompressedTransfer, error: float) -> tuple[CapDimensi
         An error that is none; a file that does not fit together.
     """
     # Only here: what is told without decoding starts without SciPy.
-    from slepian_prt.evaluation.dimension import check_error, dimension_of_vectors
-    from slepian_prt.evaluation.neighbourhoods import vertex_areas
+    from slepian_prt.evaluation.dimension.estimate import check_error, dimension_of_vectors
+    from slepian_prt.evaluation.dimension.neighbourhoods import vertex_areas
 
     error = check_error(error)
     vectors, active = packed.reconstruct(), packed.mesh.receivers.active

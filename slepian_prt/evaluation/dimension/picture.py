@@ -12,7 +12,7 @@ from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slepian_prt.evaluation.dimension import EffectiveDimension
+from slepian_prt.evaluation.dimension.estimate import EffectiveDimension
 from slepian_prt.relighting.drawing.camera import Camera
 from slepian_prt.relighting.drawing.pictures import Finish, encode_srgb
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.evaluation.dimension import EffectiveDimension
-from slepian_prt.evaluation.dimension_picture import ColourScale, draw_dimension, encode_picture
+from slepian_prt.evaluation.dimension.estimate import EffectiveDimension
+from slepian_prt.evaluation.dimension.picture import ColourScale, draw_dimension, encode_picture
 from slepian_prt.files import atomic_output, check_writable
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.relighting.drawing.pictures import MAP, Finish

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.evaluation.neighbourhoods import Neighbourhood, Surface
+from slepian_prt.evaluation.dimension.neighbourhoods import Neighbourhood, Surface
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.transfer import Transfer

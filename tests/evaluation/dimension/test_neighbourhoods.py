@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from slepian_prt.evaluation.neighbourhoods import Surface, copies_at_one_place, vertex_areas
+from slepian_prt.evaluation.dimension.neighbourhoods import Surface, copies_at_one_place, vertex_areas
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from tests.conftest import sphere
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import slepian_prt as sp
-from slepian_prt.evaluation.dimension import (
+from slepian_prt.evaluation.dimension.estimate import (
     EffectiveDimension,
     dimension_of_energies,
     dimension_of_vectors,
     effective_dimension,
 )
-from slepian_prt.evaluation.neighbourhoods import Surface
+from slepian_prt.evaluation.dimension.neighbourhoods import Surface
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from slepian_prt.slepian.kernels import zonal_vectors
 from slepian_prt.transport.transfer import Transfer

@@ -8,7 +8,7 @@ import pytest
 
 import slepian_prt as sp
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.evaluation.cap_dimensions import cap_dimensions, count_concentrations
+from slepian_prt.evaluation.dimension.caps import cap_dimensions, count_concentrations
 from tests.conftest import bumpy
 
 
