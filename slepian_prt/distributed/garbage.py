@@ -10,6 +10,8 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from slepian_prt.distributed.interrupts import interrupts_held
+
 
 @contextmanager
 def collected_by_this_thread(*, whole: bool = False) -> Iterator[None]:
@@ -25,11 +27,12 @@ def collected_by_this_thread(*, whole: bool = False) -> Iterator[None]:
     try:
         yield
     finally:
-        if whole:
+        with interrupts_held():
+            if whole:
+                gc.unfreeze()
+            gc.collect()
             gc.unfreeze()
-        _collect(2)
-        gc.unfreeze()
-        gc.enable()
+            gc.enable()
 
 
 def collect_young() -> None:
@@ -44,10 +47,6 @@ def collect_whole() -> None:
 
 
 def _collect(generation: int) -> None:
-    """Without what Dask has called before and after: an interrupt that comes meanwhile would be lost in it."""
-    callbacks = gc.callbacks[:]
-    gc.callbacks.clear()
-    try:
+    """Dask has the collector call it before and after, where Python would swallow an interrupt."""
+    with interrupts_held():
         gc.collect(generation)
-    finally:
-        gc.callbacks[:] = callbacks

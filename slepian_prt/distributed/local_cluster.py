@@ -17,6 +17,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slepian_prt.distributed.interrupts import interrupts_held
 from slepian_prt.distributed.quiet import kept_environment
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def local_cluster(workers: int, security: Any = None) -> Iterator[LocalCluster]:
         os.environ["DASK_LOGGING__DISTRIBUTED"] = "critical"
         ignored = "ignore::UserWarning:multiprocessing.resource_tracker"
         os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), ignored)))
-        with _interrupts_held(), warnings.catch_warnings():
+        with _unheard_by_children(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that the port is in use: another one is taken
             cluster = LocalCluster(
                 n_workers=workers,
@@ -101,8 +102,8 @@ def _kill(cluster: LocalCluster) -> None:
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C waits until the block has ended, and processes that begin in it, or later from its threads, hear of none.
+def _unheard_by_children() -> Iterator[None]:
+    """Processes that begin in the block, or later from its threads, hear of no Ctrl-C, and here it waits until its end.
 
     A terminal interrupts all processes of a command, and it is ours to end those of the cluster.
     """
@@ -110,16 +111,12 @@ def _interrupts_held() -> Iterator[None]:
         yield
         return
     resource_tracker.ensure_running()  # which would undo the mask of the thread that starts it
-    came: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # threads and their children inherit it
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
-    if came:
-        signal.raise_signal(signal.SIGINT)
+    with interrupts_held():
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # threads and their children inherit it
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _forget_stale() -> None:

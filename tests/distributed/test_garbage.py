@@ -1,6 +1,9 @@
 import gc
+import signal
 import threading
 import weakref
+
+import pytest
 
 from slepian_prt.distributed.garbage import collect_whole, collect_young, collected_by_this_thread
 
@@ -63,16 +66,37 @@ def test_who_collects_by_himself_goes_on_so():
 
 def test_an_interrupt_is_not_lost_in_what_others_have_called():
     """Python swallows what is raised in callbacks of the collector, which Dask has."""
-    called: list[str] = []
-    gc.callbacks.append(lambda phase, _: called.append(phase))
+
+    def interrupt(phase: str, _: dict[str, int]) -> None:
+        if phase == "start":
+            signal.raise_signal(signal.SIGINT)
+
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.callbacks.append(interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt), collected_by_this_thread():
+            collect_young()
+        assert gc.isenabled()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        gc.callbacks.remove(interrupt)
+        signal.signal(signal.SIGINT, handler)
+
+
+def test_callbacks_of_others_are_left_alone():
+    """Dask adds and removes its own from a thread of its own; it failed where the list was another for a moment."""
+    seen: list[tuple[str, bool]] = []
+
+    def look(phase: str, _: dict[str, int]) -> None:
+        seen.append((phase, look in gc.callbacks))
+
+    gc.callbacks.append(look)
     try:
         with collected_by_this_thread():
             collect_young()
-        assert called == []
-        gc.collect()
-        assert called == ["start", "stop"]
     finally:
-        gc.callbacks.pop()
+        gc.callbacks.remove(look)
+    assert seen == 2 * [("start", True), ("stop", True)]
 
 
 def test_what_was_there_before_is_looked_at_only_if_that_is_wanted():
