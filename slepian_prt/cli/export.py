@@ -12,7 +12,7 @@ from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import clamp_option, file_argument, output_option, rotate_option
 from slepian_prt.cli.values import read_maps, read_transfer
 from slepian_prt.errors import UserError
-from slepian_prt.export.kinds import ATTRIBUTES, KINDS, check_export
+from slepian_prt.export.kinds import ATTRIBUTES, GAMES202, KINDS, check_export
 
 if TYPE_CHECKING:
     from slepian_prt.export.model import Exported
@@ -58,6 +58,7 @@ def export(
     output: str,
 ) -> None:
     """Export a transfer FILE for engines: a model to be relit by a shader (.glb), or ambient occlusion and the like."""
+    from slepian_prt.export.games202_files import check_games202
     from slepian_prt.export.model import export_model
     from slepian_prt.lighting.projection import project_environment
     from slepian_prt.relighting.files.wishes import check_source
@@ -65,7 +66,10 @@ def export(
     if not environment and (rotate or clamp_negative):
         name = "rotate" if rotate else "clamp_negative"
         raise UserError(f"`{name}` is about a map to tell the loss under, and none is named; give `environment` too")
-    check_export(output, what, functions, attributes, [file, *environment, *([scene] if scene else [])])
+    inputs = [file, *environment, *([scene] if scene else [])]
+    check_export(output, what, functions, attributes, inputs)
+    if what == GAMES202:
+        check_games202(output, [Path(path).stem for path in environment], inputs)
     packed = read_transfer(file)
     check_source(output, packed, file)
     maps = read_maps(environment, clamp_negative, rotate, up)

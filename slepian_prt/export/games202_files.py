@@ -2,41 +2,81 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.export.kinds import OBJ_HEAD, mesh_beside
-from slepian_prt.files import atomic_output
-from slepian_prt.lighting.light_text import light_text
+from slepian_prt.errors import UserError
+from slepian_prt.files import atomic_output, check_writable
+from slepian_prt.lighting.light_text import is_written_here, light_text
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.sphere.conventions.layouts import cut_or_filled
 from slepian_prt.transport.transport_text import transport_text
 
+# How meshes begin that were written beside a transport.txt.
+_HEAD = b"# slepian_prt"
 
-def games202_files(path: str | Path, light_names: tuple[str, ...] = ()) -> tuple[Path, ...]:
+
+def games202_files(path: str | Path, light_names: Sequence[str] = ()) -> tuple[Path, ...]:
     """What is written: the transfer, the mesh beside it, then a file for each light."""
     path = Path(path)
+    mesh = path.with_suffix(".obj")
     if len(light_names) == 1:
-        return (path, mesh_beside(path), path.with_name("light.txt"))
-    lights = (path.with_name(f"light-{Path(name).stem}.txt") for name in light_names)
-    return (path, mesh_beside(path), *lights)
+        return (path, mesh, path.with_name("light.txt"))
+    return (path, mesh, *(path.with_name(f"light-{Path(name).stem}.txt") for name in light_names))
+
+
+def check_games202(path: str | Path, light_names: Sequence[str] = (), inputs: Sequence[str | Path] = ()) -> None:
+    """Raise UserError unless all files can be written and replace nothing but the output and what was written before.
+
+    Parameters
+    ----------
+    path : path of the transport.txt
+    light_names : names of the lights
+    inputs : paths that must not be replaced
+    """
+    files = games202_files(path, light_names)
+    contents = ("the transfer", "the mesh", *(f"the light {name}" for name in light_names))
+    for (file, content), (other, second) in combinations(zip(files, contents, strict=True), 2):
+        if file == other:
+            remedy = "the output" if content == contents[0] else "one of the lights"
+            raise UserError(f"{file}: would be written twice, as {content} and as {second}; name {remedy} otherwise")
+    check_writable(path, *inputs)
+    for file, content in zip(files[1:], contents[1:], strict=True):
+        check_writable(file)
+        named = any(Path(one).exists() and file.exists() and file.samefile(one) for one in inputs)
+        if named or (file.exists() and not _is_ours(file)):
+            remedy = "name the output otherwise" if content == "the mesh" else "write to another folder"
+            raise UserError(f"{file}: would be replaced by {content} that goes with {path}; {remedy}")
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file was written here, so that it may be written again."""
+    if path.suffix == ".txt":
+        return is_written_here(path)
+    with path.open("rb") as file:
+        return file.read(len(_HEAD)) == _HEAD
 
 
 def write_games202(path: str | Path, mesh: Mesh, vectors: NDArray, lights: Mapping[str, NDArray]) -> None:
-    """Write vectors (V, 9) of ours for each corner, the mesh whose corners those are, and lights (3, n²) cut at 9."""
+    """Write vectors (V, 9) of ours for each corner, the mesh whose corners those are, and lights (3, n²) cut at 9.
+
+    All files, or none if one of them cannot be written.
+    """
     contents = [transport_text(vectors, mesh.faces), _obj(mesh)]
     contents += [light_text(cut_or_filled(light, 2)) for light in lights.values()]
-    for file, content in zip(games202_files(path, tuple(lights)), contents, strict=True):
-        with atomic_output(file) as output:
-            output.write(content)
+    with ExitStack() as outputs:
+        for file, content in zip(games202_files(path, tuple(lights)), contents, strict=True):
+            outputs.enter_context(atomic_output(file)).write(content)
 
 
 def _obj(mesh: Mesh) -> bytes:
     """Triangles in their order, with a normal for each vertex."""
-    lines = [f"{OBJ_HEAD.decode()}: {mesh.name}\n"]
+    lines = [f"{_HEAD.decode()}: {mesh.name}\n"]
     lines += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.positions.tolist()]
     lines += [f"vn {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.normals.tolist()]
     lines += [f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in (np.asarray(mesh.faces) + 1).tolist()]

@@ -12,7 +12,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import check_choice
 from slepian_prt.export.ambient import Ambient, ambient_part
 from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
-from slepian_prt.export.games202_files import write_games202
+from slepian_prt.export.games202_files import check_games202, write_games202
 from slepian_prt.export.kinds import ATTRIBUTES, FUNCTIONS, GAMES202, PLY, TRANSFER, check_export, check_exportable
 from slepian_prt.export.transfer_glb import write_transfer_glb
 from slepian_prt.lighting.fitting import one_light
@@ -96,6 +96,8 @@ def export_model(
         Another kind of file, transfer that has no place in an engine, or a file that cannot be written.
     """
     check_export(path, what, functions, attributes)
+    if what == GAMES202:
+        check_games202(path, tuple(lights or ()))
     check_choice(up, "up", UPS)
     check_exportable(packed, what, file)
     lights = {name: one_light(light, packed.bandlimit) for name, light in (lights or {}).items()}

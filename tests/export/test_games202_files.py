@@ -1,6 +1,7 @@
 """What the viewer of GAMES202 reads, read here as its engine.js and three.js read it."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -125,3 +126,88 @@ def test_the_command_writes_them(packed, tmp_path, capsys):
     np.testing.assert_allclose(
         sp.project_environment(tmp_path / "light.txt", 2), sp.project_environment(sky, 2), rtol=1e-12, atol=1e-12
     )
+
+
+def content_of(folder):
+    return {path.name: path.read_bytes() if path.is_file() else None for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("name", "names", "message"),
+    [
+        (
+            "light.txt",
+            ["sky.exr"],
+            r"light\.txt: would be written twice, as the transfer and as the light sky\.exr; name",
+        ),
+        (
+            "light-a.txt",
+            ["a", "b"],
+            r"light-a\.txt: would be written twice, as the transfer and as the light a; name the",
+        ),
+        (
+            "t.txt",
+            ["a.hdr", "a.exr"],
+            r"light-a\.txt: .* as the light a\.hdr and as the light a\.exr; name one of the li",
+        ),
+        ("t.txt", ["x/light", "y/light"], r"light-light\.txt: would be written twice"),
+    ],
+)
+def test_no_file_is_written_twice(packed, tmp_path, light, name, names, message):
+    with pytest.raises(UserError, match=message):
+        sp.export_model(packed, tmp_path / name, "games202", lights=dict.fromkeys(names, light))
+    assert content_of(tmp_path) == {}
+
+
+def test_a_light_of_ones_own_is_not_replaced(packed, tmp_path, light):
+    """Of the course's program, six digits; or written by hand. What was exported here may be exported again."""
+    for own in ("1 1 1\n" + "0 0 0\n" * 8, "0.886227 0.5 0.25\n" * 9, "notes\n"):
+        (tmp_path / "light.txt").write_text(own)
+        before = content_of(tmp_path)
+        with pytest.raises(
+            UserError, match=r"light\.txt: would be replaced by the light sky that goes with .*t\.txt; w"
+        ):
+            sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky": light})
+        assert content_of(tmp_path) == before
+    (tmp_path / "light.txt").unlink()
+    for factor in (1.0, 2.0):
+        sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky": factor * light})
+    np.testing.assert_allclose(sp.project_environment(tmp_path / "light.txt", 2), 2.0 * light[:, :9])
+
+
+def test_a_folder_in_the_place_of_a_light_is_found_before_anything_is_written(packed, tmp_path, light):
+    (tmp_path / "light.txt").mkdir()
+    with pytest.raises(UserError, match=r"light\.txt: is a folder; name a file"):
+        sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky": light})
+    assert content_of(tmp_path) == {"light.txt": None}
+
+
+def test_nothing_is_left_half_written(packed, tmp_path, light, monkeypatch):
+    """The disk is full when the last file is written."""
+    from slepian_prt.export import games202_files
+
+    def full(path):
+        if Path(path).name == "light.txt":
+            raise UserError("light.txt: cannot be written (No space left on device)")
+        return atomic_output(path)
+
+    atomic_output = games202_files.atomic_output
+    monkeypatch.setattr(games202_files, "atomic_output", full)
+    with pytest.raises(UserError, match="No space left"):
+        sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky": light})
+    assert content_of(tmp_path) == {}
+
+
+def test_the_command_replaces_no_input(packed, tmp_path, capsys):
+    from slepian_prt.cli import main
+
+    packed.save(tmp_path / "a.prt")
+    sky = str(sp.example("sky"))
+    command = ["export", str(tmp_path / "a.prt"), "--as", "games202", "--environment"]
+    assert main([*command, sky, "-o", str(tmp_path / "light.txt")]) == 2
+    assert "light.txt: would be written twice, as the transfer and as the light sky" in capsys.readouterr().err
+    sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky": np.ones((3, 9))})
+    before = content_of(tmp_path)
+    assert main([*command, str(tmp_path / "light.txt"), "-o", str(tmp_path / "t.txt")]) == 2
+    assert "light.txt: would be replaced by the light light that goes with" in capsys.readouterr().err
+    assert content_of(tmp_path) == before
