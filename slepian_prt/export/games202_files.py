@@ -1,4 +1,9 @@
-"""What the viewer of GAMES202 reads: ``transport.txt``, its mesh as ``.obj``, and ``light.txt``."""
+"""What the viewer of GAMES202 reads: ``transport.txt``, its mesh as ``.obj`` with ``.mtl``, and ``light.txt``.
+
+References
+----------
+GAMES202, homework 2 (Lingqi Yan, 2021): src/loads/loadOBJ.js, which loads NAME.mtl, and only when it is there NAME.obj.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +22,20 @@ from slepian_prt.scene.mesh import Mesh
 from slepian_prt.sphere.conventions.layouts import cut_or_filled
 from slepian_prt.transport.transport_text import transport_text
 
-# How meshes begin that were written beside a transport.txt.
+# How meshes and materials begin that were written beside a transport.txt.
 _HEAD = b"# slepian_prt"
+
+# Of all triangles, as transfer is of unit albedo.
+_WHITE = "white"
 
 
 def games202_files(path: str | Path, light_names: Sequence[str] = ()) -> tuple[Path, ...]:
-    """What is written: the transfer, the mesh beside it, then a file for each light."""
+    """What is written: the transfer, the mesh beside it, its material, then a file for each light."""
     path = Path(path)
-    mesh = path.with_suffix(".obj")
+    beside = (path, path.with_suffix(".obj"), path.with_suffix(".mtl"))
     if len(light_names) == 1:
-        return (path, mesh, path.with_name("light.txt"))
-    return (path, mesh, *(path.with_name(f"light-{Path(name).stem}.txt") for name in light_names))
+        return (*beside, path.with_name("light.txt"))
+    return (*beside, *(path.with_name(f"light-{Path(name).stem}.txt") for name in light_names))
 
 
 def check_games202(path: str | Path, light_names: Sequence[str] = (), inputs: Sequence[str | Path] = ()) -> None:
@@ -40,7 +48,7 @@ def check_games202(path: str | Path, light_names: Sequence[str] = (), inputs: Se
     inputs : paths that must not be replaced
     """
     files = games202_files(path, light_names)
-    contents = ("the transfer", "the mesh", *(f"the light {name}" for name in light_names))
+    contents = ("the transfer", "the mesh", "the material", *(f"the light {name}" for name in light_names))
     for (file, content), (other, second) in combinations(zip(files, contents, strict=True), 2):
         if file == other:
             remedy = "the output" if content == contents[0] else "one of the lights"
@@ -50,7 +58,7 @@ def check_games202(path: str | Path, light_names: Sequence[str] = (), inputs: Se
         check_writable(file)
         named = any(Path(one).exists() and file.exists() and file.samefile(one) for one in inputs)
         if named or (file.exists() and not _is_ours(file)):
-            remedy = "name the output otherwise" if content == "the mesh" else "write to another folder"
+            remedy = "write to another folder" if file.suffix == ".txt" else "name the output otherwise"
             raise UserError(f"{file}: would be replaced by {content} that goes with {path}; {remedy}")
 
 
@@ -63,21 +71,24 @@ def _is_ours(path: Path) -> bool:
 
 
 def write_games202(path: str | Path, mesh: Mesh, vectors: NDArray, lights: Mapping[str, NDArray]) -> None:
-    """Write vectors (V, 9) of ours for each corner, the mesh whose corners those are, and lights (3, n²) cut at 9.
+    """Write vectors (V, 9) of ours for each corner, the white mesh whose corners those are, and lights (3, n²) cut at 9.
 
     All files, or none if one of them cannot be written.
     """
-    contents = [transport_text(vectors, mesh.faces), _obj(mesh)]
+    files = games202_files(path, tuple(lights))
+    material = _HEAD + f"\nnewmtl {_WHITE}\nKd 1 1 1\n".encode()
+    contents = [transport_text(vectors, mesh.faces), _obj(mesh, files[2].name), material]
     contents += [light_text(cut_or_filled(light, 2)) for light in lights.values()]
     with ExitStack() as outputs:
-        for file, content in zip(games202_files(path, tuple(lights)), contents, strict=True):
+        for file, content in zip(files, contents, strict=True):
             outputs.enter_context(atomic_output(file)).write(content)
 
 
-def _obj(mesh: Mesh) -> bytes:
-    """Triangles in their order, with a normal for each vertex."""
-    lines = [f"{_HEAD.decode()}: {mesh.name}\n"]
+def _obj(mesh: Mesh, materials: str) -> bytes:
+    """Triangles in their order, with a normal for each vertex; ``materials`` is the name of the .mtl file."""
+    lines = [f"{_HEAD.decode()}: {mesh.name}\n", f"mtllib {materials}\n"]
     lines += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.positions.tolist()]
     lines += [f"vn {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.normals.tolist()]
+    lines += [f"usemtl {_WHITE}\n"]
     lines += [f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in (np.asarray(mesh.faces) + 1).tolist()]
     return "".join(lines).encode()

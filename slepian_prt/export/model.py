@@ -73,7 +73,7 @@ def export_model(
         Transfer in the run-time format, for shaders of one's own. Or, for what engines have: radiance of white vertices
         under a constant light of 1; where unblocked light comes from; the visibility of the sky as probe volumes of
         Unity hold it; transfer of degree 0 and 1. Or transfer of degree 0 to 2 as GAMES202 has it, ``transport.txt``,
-        with its mesh beside it as .obj and the ``lights`` as light.txt (light-NAME.txt of several).
+        with its mesh beside it as .obj and .mtl and the ``lights`` as light.txt (light-NAME.txt of several).
     functions : int, optional
         Bytes per vertex of the run-time format, see `gpu_transfer`; by default 16.
     attributes : "bytes", "float" or "texture", optional

@@ -9,6 +9,7 @@ import pytest
 import slepian_prt as sp
 from slepian_prt.errors import UserError
 from slepian_prt.export.kinds import check_export
+from tests.numerics import assert_exact
 
 
 def their_reader(text):
@@ -18,16 +19,40 @@ def their_reader(text):
     return np.array([float(word) for word in words[1:-1]]).reshape(-1, 9)
 
 
-def obj_corners(path):
-    """Positions of the corners, triangle by triangle, as three.js's OBJLoader lays them out."""
-    positions, corners = [], []
+def their_materials(path):
+    """Diffuse colours of a .mtl file by their names, as three.js's MTLLoader has them."""
+    colours, name = {}, None
     for line in path.read_text().splitlines():
+        head, _, rest = line.strip().partition(" ")
+        if head == "newmtl":
+            name = rest.strip()
+        elif head.lower() == "kd":
+            colours[name] = [float(word) for word in rest.split()]
+    return colours
+
+
+def their_mesh(folder, name):
+    """(corners, 3) positions, normals and colours, triangle by triangle, as loadOBJ.js has them.
+
+    It loads NAME.mtl, and in the callback of that NAME.obj: without the one the other is never asked for.
+    """
+    materials = their_materials(folder / f"{name}.mtl")
+    positions, normals, corners, colours, colour = [], [], [], [], None
+    for line in (folder / f"{name}.obj").read_text().splitlines():
         head, *words = line.split()
-        if head == "v":
+        if head == "mtllib":
+            assert words == [f"{name}.mtl"]
+        elif head == "usemtl":
+            colour = materials[words[0]]
+        elif head == "v":
             positions.append([float(word) for word in words])
+        elif head == "vn":
+            normals.append([float(word) for word in words])
         elif head == "f":
-            corners += [int(word.split("/")[0]) - 1 for word in words]
-    return np.array(positions)[corners]
+            corners += [[int(index) - 1 for index in word.split("//")] for word in words]
+            colours += [colour] * 3
+    of_position, of_normal = np.array(corners).T
+    return np.array(positions)[of_position], np.array(normals)[of_normal], np.array(colours)
 
 
 def test_corners_of_the_mesh_beside_have_its_transfer(packed, tmp_path, light):
@@ -36,9 +61,11 @@ def test_corners_of_the_mesh_beside_have_its_transfer(packed, tmp_path, light):
     sp.export_model(packed, tmp_path / "transport.txt", "games202", lights={"sky": light}, report=told.append)
     rows = their_reader((tmp_path / "transport.txt").read_text())
     assert (tmp_path / "transport.txt").read_text().split("\n", 1)[0] == str(packed.vertex_count)
-    np.testing.assert_allclose(
-        obj_corners(tmp_path / "transport.obj"), packed.mesh.positions[packed.mesh.faces.ravel()], rtol=1e-8, atol=1e-8
-    )
+    corners = packed.mesh.faces.ravel()
+    positions, normals, colours = their_mesh(tmp_path, "transport")
+    np.testing.assert_allclose(positions, packed.mesh.positions[corners], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(normals, packed.mesh.normals[corners], rtol=1e-8, atol=1e-8)
+    assert_exact(colours, np.ones((len(corners), 3)), "digits 1")
     lines = [[float(word) for word in line.split()] for line in (tmp_path / "light.txt").read_text().splitlines()]
     assert np.shape(lines) == (9, 3)
     ours = packed.reconstruct()[packed.mesh.faces.ravel(), 0, :9] @ light[:, :9].T
@@ -72,7 +99,7 @@ def test_colours_become_their_mean_and_it_is_said(coloured, tmp_path):
 
 def test_several_lights_have_a_file_each(packed, tmp_path, light):
     sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky.exr": light, "b": 2.0 * light})
-    assert {path.name for path in tmp_path.iterdir()} == {"t.txt", "t.obj", "light-sky.txt", "light-b.txt"}
+    assert {path.name for path in tmp_path.iterdir()} == {"t.txt", "t.obj", "t.mtl", "light-sky.txt", "light-b.txt"}
 
 
 def test_degrees_that_are_not_there_are_zero(tmp_path, packed):
@@ -89,6 +116,12 @@ def test_a_mesh_of_ones_own_is_not_replaced(packed, tmp_path):
     with pytest.raises(UserError, match=r"bunny\.obj: would be replaced"):
         sp.export_model(packed, tmp_path / "bunny.txt", "games202")
     assert (tmp_path / "bunny.obj").read_text() == "v 0 0 0\n"
+    (tmp_path / "mary.mtl").write_text("newmtl skin\n")
+    with pytest.raises(
+        UserError, match=r"mary\.mtl: would be replaced by the material that goes with .*; name the output"
+    ):
+        sp.export_model(packed, tmp_path / "mary.txt", "games202")
+    assert {path.name for path in tmp_path.iterdir()} == {"bunny.obj", "mary.mtl"}
     sp.export_model(packed, tmp_path / "t.txt", "games202")
     sp.export_model(packed, tmp_path / "t.txt", "games202")  # one's own export may be
 
