@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -19,7 +20,9 @@ from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_writable
 from slepian_prt.lighting.light_text import is_written_here, light_text
 from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.conventions.layouts import cut_or_filled
+from slepian_prt.sphere.rotation import rotate_sh
 from slepian_prt.transport.transport_text import transport_text
 
 # How meshes and materials begin that were written beside a transport.txt.
@@ -70,11 +73,28 @@ def _is_ours(path: Path) -> bool:
         return file.read(len(_HEAD)) == _HEAD
 
 
-def write_games202(path: str | Path, mesh: Mesh, vectors: NDArray, lights: Mapping[str, NDArray]) -> None:
-    """Write vectors (V, 9) of ours for each corner, the white mesh whose corners those are, and lights (3, n²) cut at 9.
+def write_games202(
+    path: str | Path, mesh: Mesh, vectors: NDArray, lights: Mapping[str, NDArray], up: str = "y"
+) -> None:
+    """Write transfer, the mesh whose corners it is of, and lights: all of the files, or none if one cannot be written.
 
-    All files, or none if one of them cannot be written.
+    Parameters
+    ----------
+    path : path of the transport.txt
+    mesh : Mesh
+        Written white.
+    vectors : (V, 9)
+        Ours.
+    lights : dict of str to (3, n²)
+        Cut at 9.
+    up : "y" or "z"
+        What is up in the mesh. The files have no nodes that put it upright: all that they hold is turned.
     """
+    if up != "y":
+        stand = up_rotation(up).T
+        mesh = replace(mesh, positions=mesh.positions @ stand.T, normals=mesh.normals @ stand.T)
+        vectors = rotate_sh(vectors, stand)
+        lights = {name: rotate_sh(light, stand) for name, light in lights.items()}
     files = games202_files(path, tuple(lights))
     material = _HEAD + f"\nnewmtl {_WHITE}\nKd 1 1 1\n".encode()
     contents = [transport_text(vectors, mesh.faces), _obj(mesh, files[2].name), material]

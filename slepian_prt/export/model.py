@@ -84,7 +84,7 @@ def export_model(
     scene : path, optional
         What the transfer was made from, whose textures are wanted, if that is not where it was.
     up : "y" or "z"
-        What is up in the model; a node puts it upright.
+        What is up in the model; a node puts it upright. The files of GAMES202 are turned to y, lights with them.
     file : path, optional
         Of the transfer: what it was made from is looked for beside it.
     report : callable, optional
@@ -110,7 +110,7 @@ def export_model(
         return Exported(Path(path), packed.vertex_count, gpu.error(), gpu.relit_error(), measured)
     ambient = ambient_part(packed, what, lights)
     if what == GAMES202:
-        _write_games202(path, packed, ambient, lights, report)
+        _write_games202(path, packed, ambient, lights, up, report)
     elif Path(path).suffix.lower() == PLY:
         write_ambient_ply(path, packed, ambient, what)
     else:
@@ -125,13 +125,14 @@ def _write_games202(
     packed: CompressedTransfer,
     ambient: Ambient,
     lights: Mapping[str, NDArray],
+    up: str,
     report: Callable[[str], None],
 ) -> None:
     if packed.bandlimit > 2:
         report(f"{path}: GAMES202 has degrees 0 to 2; 3 to {packed.bandlimit} are left out")
     if packed.channels == 3:
         report(f"{path}: GAMES202 has one number for all colours; transfer of three channels is their mean")
-    write_games202(path, packed.mesh, ambient.values[:, 0], lights)
+    write_games202(path, packed.mesh, ambient.values[:, 0], lights, up)
 
 
 def _surfaces(

@@ -9,6 +9,7 @@ import pytest
 import slepian_prt as sp
 from slepian_prt.errors import UserError
 from slepian_prt.export.kinds import check_export
+from tests.conftest import random_directions
 from tests.numerics import assert_exact
 
 
@@ -244,3 +245,23 @@ def test_the_command_replaces_no_input(packed, tmp_path, capsys):
     assert main([*command, str(tmp_path / "light.txt"), "-o", str(tmp_path / "t.txt")]) == 2
     assert "light.txt: would be replaced by the light light that goes with" in capsys.readouterr().err
     assert content_of(tmp_path) == before
+
+
+def test_what_is_up_is_y_in_their_files(packed, tmp_path, light):
+    """Heights of z become heights of y, and the picture stays: the same products of all that is turned."""
+    sp.export_model(packed, tmp_path / "t.txt", "games202", lights={"sky": light}, up="z")
+    corners = packed.mesh.faces.ravel()
+    positions, normals, _ = their_mesh(tmp_path, "t")
+    x, y, z = packed.mesh.positions[corners].T
+    np.testing.assert_allclose(positions, np.stack([x, z, -y], axis=1), rtol=1e-8, atol=1e-8)
+    x, y, z = packed.mesh.normals[corners].T
+    np.testing.assert_allclose(normals, np.stack([x, z, -y], axis=1), rtol=1e-8, atol=1e-8)
+    vectors = their_reader((tmp_path / "t.txt").read_text()) / math.pi
+    turned = np.loadtxt(tmp_path / "light.txt").T
+    d = random_directions(np.random.default_rng(1), 50)
+    there = sp.real_sh(2, np.stack([d[:, 0], d[:, 2], -d[:, 1]], axis=1))
+    here = sp.real_sh(2, d)
+    size = np.abs(light[:, :9]).sum()
+    np.testing.assert_allclose(there @ turned.T, here @ light[:, :9].T, rtol=0.0, atol=1e-14 * size)
+    ours = packed.reconstruct()[corners, 0, :9]
+    np.testing.assert_allclose(there @ vectors.T, here @ ours.T, rtol=0.0, atol=1e-6)
