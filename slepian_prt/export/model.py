@@ -9,7 +9,7 @@ from pathlib import Path
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import check_choice
+from slepian_prt.errors import UserError, check_choice
 from slepian_prt.export.ambient import Ambient, ambient_part
 from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
 from slepian_prt.export.games202_files import check_games202, write_games202
@@ -95,6 +95,7 @@ def export_model(
     UserError
         Another kind of file, transfer that has no place in an engine, or a file that cannot be written.
     """
+    _check_arguments(packed, lights or {})
     check_export(path, what, functions, attributes)
     if what == GAMES202:
         check_games202(path, tuple(lights or ()))
@@ -118,6 +119,16 @@ def export_model(
     error = ambient.error()
     relit = (error**2 + packed.predicted_relit_error() ** 2) ** 0.5
     return Exported(Path(path), packed.vertex_count, error, relit, ambient.measured)
+
+
+def _check_arguments(packed: object, lights: Mapping[str, NDArray]) -> None:
+    """Raise UserError for transfer that is not compressed, and for lights whose names are no words."""
+    if not isinstance(packed, CompressedTransfer):
+        raise UserError(
+            f"what is exported must be a CompressedTransfer, not {type(packed).__name__}; compress it first"
+        )
+    if not isinstance(lights, Mapping) or not all(isinstance(name, str) for name in lights):
+        raise UserError("lights must be a dict of names, which are str, to coefficients (3, n²); name each of them")
 
 
 def _write_games202(
