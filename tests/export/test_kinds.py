@@ -53,7 +53,7 @@ def test_what_is_no_compressed_transfer(tmp_path, packed):
     "lights", [{3: np.ones((3, 9))}, {"a": np.ones((3, 9)), 3: np.ones((3, 9))}, [np.ones((3, 9))]]
 )
 def test_lights_have_names(tmp_path, packed, lights):
-    with pytest.raises(UserError, match="^lights must be a dict of names, which are str, to coefficients"):
+    with pytest.raises(UserError, match=r"^lights must be a dict of names, which are str, to coefficients"):
         export_model(packed, tmp_path / "a.txt", "games202", lights=lights)
     assert list(tmp_path.iterdir()) == []
 
