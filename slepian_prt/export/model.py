@@ -15,7 +15,7 @@ from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_pl
 from slepian_prt.export.games202_files import check_games202, write_games202
 from slepian_prt.export.kinds import ATTRIBUTES, FUNCTIONS, GAMES202, PLY, TRANSFER, check_export, check_exportable
 from slepian_prt.export.transfer_glb import write_transfer_glb
-from slepian_prt.lighting.fitting import one_light
+from slepian_prt.lighting.fitting import each_remark_once, one_light
 from slepian_prt.relighting.files.surfaces import Surface, split_surfaces
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.view import UPS
@@ -49,6 +49,7 @@ class Exported:
     measured: dict[str, float]
 
 
+@each_remark_once()
 def export_model(
     packed: CompressedTransfer,
     path: str | Path,

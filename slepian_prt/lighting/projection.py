@@ -65,13 +65,17 @@ def project_checked(
     *,
     rotate: float | ArrayLike = 0.0,
     clamp_negative: bool = False,
+    fitted_to: str = "the projection",
 ) -> tuple[NDArray[np.float64], int]:
-    """`project_environment`, and how many negative texels were set to zero."""
+    """`project_environment`, and how many negative texels were set to zero.
+
+    ``fitted_to`` is what harmonics of another bandlimit are cut or filled up for, in the remark about that.
+    """
     turn = rotation_matrix(rotate)
     if hasattr(environment, "is_environment"):
         return _of_emitter(environment, bandlimit, turn, clamp_negative)
     if isinstance(environment, str | Path) and is_light_text(environment):
-        return rotate_sh(fit_lighting(read_light_text(environment), bandlimit), turn), 0
+        return rotate_sh(fit_lighting(read_light_text(environment), bandlimit, fitted_to), turn), 0
     if isinstance(environment, str | Path):
         rows = file_rows(environment)
     elif isinstance(environment, SkyEnvironment):
@@ -115,7 +119,7 @@ def lighting_at(
     """
     bandlimit = check_bandlimit(bandlimit)
     if isinstance(light, str | Path | Environment) or hasattr(light, "is_environment"):
-        return project_environment(light, bandlimit, clamp_negative=clamp_negative)
+        return project_checked(light, bandlimit, clamp_negative=clamp_negative, fitted_to="the transfer")[0]
     try:
         values = np.asarray(light, dtype=np.float64)
     except (TypeError, ValueError):

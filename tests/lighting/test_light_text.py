@@ -5,7 +5,6 @@ import pytest
 
 import slepian_prt as sp
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.fitting import _remark
 from slepian_prt.lighting.light_text import light_text, read_light_text
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.sphere.rotation import rotate_sh
@@ -84,7 +83,6 @@ def test_missing_file(tmp_path):
 def test_the_command_takes_it(tmp_path, file, capsys):
     from slepian_prt.cli import main
 
-    _remark.cache_clear()  # made once in a process
     mesh = make_mesh(sphere(1).positions, sphere(1).faces)
     sp.compress(sp.precompute(mesh, bandlimit=3, samples=16), "none").save(tmp_path / "a.prt", keep_order=True)
     assert main(["relight", str(tmp_path / "a.prt"), "--environment", str(file), "-o", str(tmp_path / "a.npz")]) == 0
