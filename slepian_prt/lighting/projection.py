@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from slepian_prt.lighting.light_text import is_light_text, read_light_text
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
 from slepian_prt.sphere.rotation import rotate_sh
+
+log = logging.getLogger(__name__)
 
 
 def project_environment(
@@ -75,6 +78,8 @@ def project_checked(
     if hasattr(environment, "is_environment"):
         return _of_emitter(environment, bandlimit, turn, clamp_negative)
     if isinstance(environment, str | Path) and is_light_text(environment):
+        if clamp_negative:
+            log.warning("%s: holds harmonics, not texels; `clamp_negative` changes nothing in it", environment)
         return rotate_sh(fit_lighting(read_light_text(environment), bandlimit, fitted_to), turn), 0
     if isinstance(environment, str | Path):
         rows = file_rows(environment)

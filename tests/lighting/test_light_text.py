@@ -75,6 +75,18 @@ def test_what_is_refused(tmp_path, content, message):
     assert "\n" not in str(caught.value)
 
 
+def test_what_is_about_texels_is_said_to_change_nothing(tmp_path, file, caplog, capsys):
+    from slepian_prt.cli import main
+
+    before = sp.project_environment(file, 2)
+    assert_exact(sp.project_environment(file, 2, clamp_negative=True), before, "the same numbers")
+    assert caplog.messages == [f"{file}: holds harmonics, not texels; `clamp_negative` changes nothing in it"]
+    sp.compress(sp.precompute(sphere(1), bandlimit=2, samples=4), "none").save(tmp_path / "a.prt")
+    command = ["relight", str(tmp_path / "a.prt"), "--environment", str(file), "-o", str(tmp_path / "a.npz")]
+    assert main([*command, "--clamp-negative"]) == 0
+    assert f"note: {file}: holds harmonics, not texels; --clamp-negative changes nothing" in capsys.readouterr().err
+
+
 def test_missing_file(tmp_path):
     with pytest.raises(UserError, match=r"nothing\.txt"):
         sp.project_environment(tmp_path / "nothing.txt", 2)
