@@ -20,6 +20,9 @@ from slepian_prt.sphere.harmonics import bandlimit_of, num_coefficients
 
 log = logging.getLogger(__name__)
 
+# Of coefficients: their products with transfer, added up, stay far within float32.
+LARGEST = 1e30
+
 # What was said in the call that is under way, if it is one of many lights.
 _said: ContextVar[set[str] | None] = ContextVar("_said", default=None)
 
@@ -61,14 +64,23 @@ def one_light(lighting: ArrayLike, bandlimit: int, of: str = "the transfer") -> 
     Raises
     ------
     UserError
-        Of another shape, or not finite.
+        Of another shape, not real, not finite, or too large.
     """
     values = np.asarray(lighting)
     if values.ndim != 2 or not is_lighting(values.shape):
         raise UserError(f"lighting must have shape (3, n²), n² harmonics in red, green and blue, not {values.shape}")
+    check_lighting(values)
+    return fit_lighting(values, bandlimit, of)
+
+
+def check_lighting(values: NDArray) -> None:
+    """Raise UserError for coefficients that are not real numbers, not finite, or of no light that there is."""
+    if values.dtype.kind not in "biuf":
+        raise UserError(f"lighting must be real numbers, not {values.dtype}")
     if not np.isfinite(values).all():
         raise UserError("lighting must be finite; check the map that it was projected from")
-    return fit_lighting(values, bandlimit, of)
+    if values.size and max(float(values.max()), -float(values.min())) > LARGEST:
+        raise UserError(f"lighting must be within {LARGEST:g}, which is more than pictures hold; scale it down")
 
 
 def _remark(given: int, wanted: int, of: str) -> None:

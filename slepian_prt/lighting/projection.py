@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.lighting.emitters import SkyEnvironment, project_emitter
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
-from slepian_prt.lighting.fitting import fit_lighting, is_lighting
+from slepian_prt.lighting.fitting import check_lighting, fit_lighting, is_lighting
 from slepian_prt.lighting.light_text import is_light_text, read_light_text
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
@@ -126,14 +126,15 @@ def lighting_at(
     if isinstance(light, str | Path | Environment) or hasattr(light, "is_environment"):
         return project_checked(light, bandlimit, clamp_negative=clamp_negative, fitted_to="the transfer")[0]
     try:
-        values = np.asarray(light, dtype=np.float64)
+        values = np.asarray(light)
+        if values.dtype.kind != "c":  # which NumPy would make real by leaving out a part
+            values = values.astype(np.float64, copy=False)
     except (TypeError, ValueError):
         raise UserError(
             f"light must be a path, an Environment, an array or an emitter, not {type(light).__name__}"
         ) from None
     if is_lighting(values.shape):
-        if not np.all(np.isfinite(values)):
-            raise UserError("lighting must be finite; check the map that it was projected from")
+        check_lighting(values)
         return np.asarray(fit_lighting(values, bandlimit))
     if values.ndim == 3 and values.shape[1] == 2 * values.shape[0] and values.shape[2] in (1, 3):
         return project_environment(light, bandlimit, clamp_negative=clamp_negative)

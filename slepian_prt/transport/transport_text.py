@@ -10,6 +10,7 @@ GAMES202, homework 2 (Lingqi Yan, 2021): prt/src/prt.cpp, which writes; src/engi
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,9 @@ SUFFIX = ".txt"
 
 # Of bandlimit 2.
 _SIZE = 9
+
+# Numbers of surfaces that send back no more than they receive are below π; squares of these stay within float32.
+_LARGEST = 1e6
 
 # Corners of a vertex may differ by so much of the largest number: six digits are written, and a digit is lost in sums.
 _ROUNDING = 1e-4
@@ -75,7 +79,10 @@ def _read_rows(path: Path) -> NDArray[np.float64]:
     """(corners, 9)."""
     check_readable(path, "a transport.txt")
     try:
-        words = path.read_bytes().split()
+        content = path.read_bytes().removeprefix(codecs.BOM_UTF8)  # which Windows puts before text
+        if b"_" in content:  # Python takes 1_0 for 10
+            raise ValueError
+        words = content.split()
         count, numbers = int(words[0]), np.array(words[1:], dtype=np.float64)
     except (ValueError, IndexError, OSError):
         raise UserError(
@@ -88,6 +95,10 @@ def _read_rows(path: Path) -> NDArray[np.float64]:
         )
     if not np.isfinite(numbers).all():
         raise UserError(f"{path}: holds numbers that are not finite; compute it again")
+    if np.abs(numbers).max() > _LARGEST:
+        raise UserError(
+            f"{path}: holds numbers beyond {_LARGEST:g}, and those of transfer are about 1; compute it again"
+        )
     return numbers.reshape(-1, _SIZE)
 
 

@@ -107,3 +107,33 @@ def test_shapes_of_other_things(shape):
 def test_one_light_is_finite():
     with pytest.raises(UserError, match="lighting must be finite"):
         one_light(np.full((3, 9), np.nan), 2)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.full((3, 4), 1.0 + 1.0j), "^lighting must be real numbers, not complex128$"),
+        (np.full((3, 4), 1e300), r"^lighting must be within 1e\+30, which is more than pictures hold; scale it down$"),
+        (np.full((3, 4), -1e31, dtype=np.float32), r"^lighting must be within 1e\+30"),
+        (np.full((3, 4), -np.inf), "^lighting must be finite"),
+    ],
+)
+def test_numbers_that_are_no_light(values, message):
+    """Without a warning of NumPy on the way, which tests take for errors."""
+    transfer = sp.precompute(sphere(1), bandlimit=1, samples=4)
+    packed = sp.compress(transfer, "none")
+    for call in (
+        lambda: one_light(values, 1),
+        lambda: sp.relight(transfer, values),
+        lambda: sp.relight(packed, np.stack([values, values])),
+        lambda: sp.gpu_transfer(packed, 8).light(values),
+        lambda: sp.gpu_transfer(packed, 8).error(values),
+    ):
+        with pytest.raises(UserError, match=message):
+            call()
+
+
+def test_the_greatest_light_stays_within_floats():
+    transfer = sp.precompute(sphere(1), bandlimit=1, samples=4)
+    for model in (transfer, sp.compress(transfer, "none")):
+        assert np.isfinite(sp.relight(model, np.full((3, 4), 1e30))).all()

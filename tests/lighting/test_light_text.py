@@ -42,6 +42,11 @@ def test_what_is_written_is_read_back(tmp_path, rng):
     assert_exact(read_light_text(tmp_path / "a.txt"), lighting, "17 digits are all of a float64")
 
 
+def test_a_byte_order_mark_is_no_part_of_it(tmp_path, file):
+    (tmp_path / "notepad.txt").write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n"))
+    assert_exact(read_light_text(tmp_path / "notepad.txt"), read_light_text(file), "the same digits")
+
+
 def test_it_is_light_wherever_a_map_is(file):
     lighting = read_light_text(file)
     assert_exact(sp.project_environment(file, 2), rotate_sh(lighting, np.eye(3)), "the same numbers")
@@ -66,6 +71,9 @@ def test_where_pictures_are_wanted_it_is_refused(file):
         (b"1 2 x\n", "line 1: must be"),
         (b"1 2 nan\n", "line 1: must be"),
         (b"\xff\xfe1", "it is no text"),
+        (b"1_0 2 3\n", "line 1: must be red, green and blue of a harmonic, three numbers"),
+        ("1 2 \u0663\n".encode(), "line 1: must be"),
+        (b"1 2 3\n1 -1e300 0\n", r"line 2: is light beyond 1e\+30, more than pictures hold; scale it down"),
     ],
 )
 def test_what_is_refused(tmp_path, content, message):

@@ -42,6 +42,14 @@ def test_numbers_of_corners_are_those_of_vertices(tmp_path, square, rng):
     np.testing.assert_allclose(math.pi * radiance, rows @ light, atol=1e-5)
 
 
+def test_a_byte_order_mark_is_no_part_of_it(tmp_path, square, rng):
+    text = their_file(rng.normal(size=(4, 9)), [(0, 1, 2), (0, 2, 3)])
+    (tmp_path / "a.txt").write_text(text)
+    (tmp_path / "b.txt").write_bytes(b"\xef\xbb\xbf" + text.encode())
+    read = [sp.load_transfer(tmp_path / name, mesh=square).vectors for name in ("a.txt", "b.txt")]
+    assert_exact(*read, "the same digits")
+
+
 def test_what_is_read_can_be_compressed(tmp_path, square, rng):
     rows = rng.normal(size=(4, 9))
     (tmp_path / "transport.txt").write_text(their_file(rows, [(0, 1, 2), (0, 2, 3)]))
@@ -77,6 +85,9 @@ def test_unshadowed_receivers_have_the_values_of_the_course(rng):
         ("4\n" + "0 " * 26, "holds 26 numbers after that of the vertices, and each triangle has 27"),
         ("4\n" + "0 " * 27, r"is of 1 triangles, and square has 2"),
         ("4\n" + "nan " * 54, "not finite"),
+        ("1_0\n" + "0 " * 54, "cannot be read as transport"),
+        ("4\n" + "1_0 " * 54, "cannot be read as transport"),
+        ("4\n" + "-1e300 " * 54, r"holds numbers beyond 1e\+06, and those of transfer are about 1; compute it again"),
     ],
 )
 def test_what_is_refused(tmp_path, square, content, message):
