@@ -22,6 +22,7 @@ from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.sphere.conventions.convert import convert_sh
+from slepian_prt.transport.effects import UNKNOWN, Effect
 from slepian_prt.transport.transfer import Transfer
 
 SUFFIX = ".txt"
@@ -31,6 +32,8 @@ _SIZE = 9
 
 # Numbers of surfaces that send back no more than they receive are below π; squares of these stay within float32.
 _LARGEST = 1e6
+
+_UNKNOWN = Effect("all effects", UNKNOWN, None, None, 0, "GAMES202's transport.txt does not say what was simulated")
 
 # Corners of a vertex may differ by so much of the largest number: six digits are written, and a digit is lost in sums.
 _ROUNDING = 1e-4
@@ -70,9 +73,19 @@ def read_transport(path: str | Path, mesh: str | Path | Mesh) -> Transfer:
     ours = convert_sh(vectors, source="games202", quantity="transfer")
     return Transfer(
         vectors=ours[:, None].astype(np.float32), axes=mesh.normals, mesh=mesh,
-        parts=(Part(mesh.name, 0, len(mesh.positions), 1),), bandlimit=2, samples=0, seed=0, effects=(), bounces=0,
-        rays_traced=0, source=str(path),
+        parts=(Part(mesh.name, 0, len(mesh.positions), 1),), bandlimit=2, samples=0, seed=0, effects=(_UNKNOWN,),
+        bounces=0, rays_traced=0, source=str(path),
     )  # fmt: skip
+
+
+def is_transport_text(path: str | Path) -> bool:
+    """Whether a .txt file begins as such a file does: with a number that stands alone in its line."""
+    path = Path(path)
+    if path.suffix.lower() != SUFFIX or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        first = file.readline(100).removeprefix(codecs.BOM_UTF8)
+        return first.strip().isdigit() and bool(file.read(1))
 
 
 def _read_rows(path: Path) -> NDArray[np.float64]:
