@@ -78,7 +78,7 @@ def convert_sh(
     if keep == MAP and theirs.map_turn != wanted.map_turn:
         rows = rotate_sh(rows, _about_y(wanted.map_turn - theirs.map_turn))
     rows = _fitted(rows, target, wanted)
-    if "3" in written.layout.shape and (rows.ndim < 2 or rows.shape[-2] != 3):
+    if written.layout.colours and (rows.ndim < 2 or rows.shape[-2] != 3):
         raise UserError(f"{target} holds red, green and blue; give coefficients of three colours, not {values.shape}")
     return _write(rows, wanted, written).astype(np.float32 if values.dtype == np.float32 else np.float64)
 

@@ -2,12 +2,14 @@
 
 import logging
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import slepian_prt as sp
 from slepian_prt.errors import UserError
+from slepian_prt.sphere.conventions import convert
 from slepian_prt.sphere.conventions.convert import convert_sh
 from slepian_prt.sphere.conventions.neighbours import FUNCTION, LIGHTING, NEIGHBOURS, OURS, TRANSFER
 from slepian_prt.sphere.quadrature import cap_rule
@@ -202,6 +204,16 @@ def test_what_is_refused(arguments, message):
 def test_arrays_that_are_refused(values, arguments, message):
     with pytest.raises(UserError, match=message):
         convert_sh(values, **arguments)
+
+
+def test_whether_there_are_colours_is_not_read_from_text(monkeypatch):
+    """The text of a layout is for readers."""
+    (form,) = set(NEIGHBOURS["filament"].forms.values())
+    named = replace(form, layout=replace(form.layout, shape="(…, n², RGB)"))
+    tool = replace(NEIGHBOURS["filament"], forms={LIGHTING: named})
+    monkeypatch.setattr(convert, "NEIGHBOURS", {**NEIGHBOURS, "filament": tool})
+    with pytest.raises(UserError, match=r"filament holds red, green and blue; give .* three colours, not \(9,\)"):
+        convert_sh(np.zeros(9), target="filament", quantity=LIGHTING)
 
 
 def test_degrees_that_a_tool_does_not_hold_are_left_out_and_said(rng, caplog):
