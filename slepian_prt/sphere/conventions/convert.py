@@ -74,10 +74,9 @@ def convert_sh(
     quantity = _quantity(source, target, quantity)
     form, written = theirs.forms[quantity], wanted.forms[quantity]
     values = _checked(coefficients, source, form)
-    rows = _read(values, theirs, form)
+    rows = _fitted(_read(values, theirs, form), target, wanted)
     if keep == MAP and theirs.map_turn != wanted.map_turn:
         rows = rotate_sh(rows, _about_y(wanted.map_turn - theirs.map_turn))
-    rows = _fitted(rows, target, wanted)
     if written.layout.colours and (rows.ndim < 2 or rows.shape[-2] != 3):
         raise UserError(f"{target} holds red, green and blue; give coefficients of three colours, not {values.shape}")
     return _write(rows, wanted, written).astype(np.float32 if values.dtype == np.float32 else np.float64)

@@ -163,6 +163,22 @@ def test_three_js_puts_the_middle_of_a_map_at_x(rng):
     assert np.abs(convert_sh(ours, target="three") - probe).max() > 0.1 * size
 
 
+def test_degrees_that_a_tool_does_not_hold_are_not_turned(monkeypatch, rng):
+    """Rotations of many degrees take long, and each degree is turned by itself."""
+    turned = []
+
+    def rotate(rows, rotation):
+        turned.append(rows.shape)
+        return sp.rotate_sh(rows, rotation)
+
+    monkeypatch.setattr(convert, "rotate_sh", rotate)
+    light = rng.normal(size=(3, 31**2))
+    probe = convert_sh(light, target="three", keep="map")
+    assert turned == [(3, 9)]
+    whole = sp.rotate_sh(light, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    np.testing.assert_allclose(probe, convert_sh(whole, target="three"), rtol=0.0, atol=1e-13)
+
+
 # --- What is refused, and what is said --------------------------------------------------------------------------------
 
 
