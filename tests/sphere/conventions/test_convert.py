@@ -209,7 +209,15 @@ def test_what_is_refused(arguments, message):
         (3.0, {}, r"not \(\)"),
         ([[1.0], [1.0, 2.0]], {}, "rows differ in length"),
         (np.zeros(9, dtype=complex), {}, "must be real numbers, not complex128"),
+        (np.zeros((3, 9), dtype=complex), {"target": "three"}, "must be real numbers, not complex128"),
         (["a"], {}, "must be real numbers"),
+        (np.full(9, np.nan), {}, "^coefficients must be finite; look where"),
+        (
+            np.full((3, 9), -np.inf, dtype=np.float32),
+            {"target": "three", "keep": "map"},
+            "^coefficients must be finite",
+        ),
+        (np.ma.masked_greater(np.arange(9.0), 4.0), {}, "^coefficients must not be masked; fill in what is hidden"),
         (np.zeros((16, 3)), {"source": "three"}, r"of three have bandlimit 2, and \(16, 3\) is 3; cut them"),
         (np.zeros((4, 3)), {"source": "deca"}, r"of deca have bandlimit 2, and \(4, 3\) is 1"),
         (np.zeros(75), {"source": "gaussian-splatting"}, r"have bandlimit 0 to 3, and \(75,\) is 4"),
@@ -220,6 +228,26 @@ def test_what_is_refused(arguments, message):
 def test_arrays_that_are_refused(values, arguments, message):
     with pytest.raises(UserError, match=message):
         convert_sh(values, **arguments)
+
+
+def test_results_fit_their_type():
+    """π times what float32 holds is more than it holds, and no warning of NumPy; in float64 there is room."""
+    large = np.full((2, 9), 3e38, dtype=np.float32)
+    pifu = {"target": "pifu", "quantity": TRANSFER}
+    with pytest.raises(
+        UserError, match=r"^coefficients are too large: as pifu has them they do not fit float32; give th"
+    ):
+        convert_sh(large, **pifu)
+    expected = math.pi * large.astype(float) * np.array([1, -1, 1, -1, 1, -1, 1, -1, 1])
+    np.testing.assert_allclose(convert_sh(large.astype(float), **pifu), expected, rtol=1e-15)
+    assert convert_sh(large, target="google").dtype == np.float32
+    with pytest.raises(UserError, match=r"they do not fit float64; scale them down$"):
+        convert_sh(np.full(9, 1e308), **pifu)
+
+
+def test_a_mask_that_hides_nothing_is_no_matter():
+    values = np.arange(9.0)
+    assert_exact(convert_sh(np.ma.masked_array(values)), values, "the same numbers")
 
 
 def test_whether_there_are_colours_is_not_read_from_text(monkeypatch):
