@@ -141,7 +141,8 @@ def _write_games202(
     report: Callable[[str], None],
 ) -> None:
     if packed.bandlimit > 2:
-        report(f"{path}: GAMES202 has degrees 0 to 2; 3 to {packed.bandlimit} are left out")
+        left = "3 is" if packed.bandlimit == 3 else f"3 to {packed.bandlimit} are"
+        report(f"{path}: GAMES202 has degrees 0 to 2; {left} left out")
     if packed.channels == 3:
         report(f"{path}: GAMES202 has one number for all colours; transfer of three channels is their mean")
     write_games202(path, packed.mesh, ambient.values[:, 0], lights, up)

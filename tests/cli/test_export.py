@@ -47,6 +47,7 @@ def test_light_of_the_course_is_taken(folder, tmp_path, capsys):
     assert main([*command, str(theirs)]) == 0
     told = capsys.readouterr()
     assert "% under theirs; " in told.out
+    assert "GAMES202 has degrees 0 to 2; 3 is left out" in told.err
     assert "counts as dark in degree 3 of the transfer" in told.err
     np.testing.assert_allclose(np.loadtxt(tmp_path / "light.txt"), np.loadtxt(theirs), rtol=1e-12, atol=1e-12)
     assert main([*command, str(theirs), "--rotate", "90", "--up", "z"]) == 0

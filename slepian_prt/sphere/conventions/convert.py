@@ -159,7 +159,8 @@ def _fitted(rows: NDArray[np.float64], name: str, neighbour: Neighbour) -> NDArr
     """Rows of a bandlimit that a tool can hold."""
     bandlimit, highest = bandlimit_of(rows.shape[-1]), neighbour.highest
     if highest is not None and bandlimit > highest:
-        log.warning("%s holds degrees up to %d; %d to %d are left out", name, highest, highest + 1, bandlimit)
+        left = f"{bandlimit} is" if bandlimit == highest + 1 else f"{highest + 1} to {bandlimit} are"
+        log.warning("%s holds degrees up to %d; %s left out", name, highest, left)
         return cut_or_filled(rows, highest)
     return cut_or_filled(rows, neighbour.lowest) if bandlimit < neighbour.lowest else rows
 
