@@ -7,7 +7,7 @@ Each harmonic of ours, one after the other, is converted and evaluated in 200 di
     shtools               pyshtools, which the development environment has
     sphericart            installed with pip into a temporary folder
     three                 installed with npm there, run by node: SphericalHarmonics3.getAt and LightProbe
-    google, games202      github.com/google/spherical-harmonics, compiled with Eigen
+    google                github.com/google/spherical-harmonics, compiled with Eigen; GAMES202's program calls it
     pifu                  github.com/shunsukesaito/PIFu: apps/prt_util.py
     deca                  github.com/yfeng95/DECA: add_SHlight of decalib/utils/renderer.py
     gaussian-splatting    github.com/graphdeco-inria/gaussian-splatting, or a fork: utils/sh_utils.py

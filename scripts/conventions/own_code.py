@@ -153,14 +153,6 @@ def google(workshop: Workshop) -> float:
     return _each("google", 6, lambda coefficients: basis @ coefficients.T)
 
 
-def games202(workshop: Workshop) -> float:
-    """The same library, as its program has light."""
-    google(workshop)
-    given = "\n".join(" ".join(map(repr, direction)) for direction in DIRECTIONS.tolist())
-    basis = np.array(workshop.run(str(workshop.folder / "google"), given=given).split(), dtype=float).reshape(-1, 49)
-    return _each("games202", 2, lambda coefficients: basis[:, :9] @ coefficients, "lighting")
-
-
 def prt_util(workshop: Workshop) -> types.ModuleType:
     """PIFu's module, without what is no longer in NumPy and SciPy: ``np.float``, and an import that it does not use."""
     text = (workshop.checkout("PIFu") / "apps" / "prt_util.py").read_text()
@@ -238,7 +230,6 @@ TOOLS: dict[str, tuple[Callable[[Workshop], float], float]] = {
     "sphericart": (sphericart, 1e-12),
     "three": (three, 2e-6),
     "google": (google, 1e-5),
-    "games202": (games202, 1e-5),
     "pifu": (pifu, 1e-12),
     "deca": (deca, 1e-12),
     "gaussian-splatting": (splats, 1e-12),

@@ -64,9 +64,11 @@ def _entry(name: str, text: str) -> str:
 
 
 def _content(packed: CompressedTransfer) -> dict[str, Any]:
-    """All but the effects."""
+    """All but the effects; None is what is not known."""
+    from slepian_prt.transport.effects import are_unknown
+
     film = packed.film_outline
-    return {
+    content = {
         "source": packed.source,
         "parameters": dict(packed.parameters) or None,
         "vertices": packed.vertex_count,
@@ -101,6 +103,8 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "seconds": packed.seconds,
         "notes": list(packed.notes),
     }
+    foreign = ("bounces", "samples", "seed", "rays_traced") if are_unknown(packed.effects) else ()
+    return content | dict.fromkeys(foreign)
 
 
 def _dimension(packed: CompressedTransfer) -> dict[str, Any]:

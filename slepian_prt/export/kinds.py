@@ -25,9 +25,6 @@ ATTRIBUTES = ("bytes", "float", "texture")
 # Bytes per vertex, where nothing else is asked for.
 FUNCTIONS = 16
 
-# How meshes begin that were written beside a transport.txt.
-OBJ_HEAD = b"# slepian_prt"
-
 GLB, PLY, TEXT = ".glb", ".ply", ".txt"
 
 # The highest degree that is needed.
@@ -55,24 +52,6 @@ def check_export(
             if value is not None:
                 raise UserError(f"`{name}` is about `what=transfer` and has no effect on {what}; leave it out")
     check_writable(output, *inputs)
-    if what == GAMES202:
-        _check_mesh_beside(mesh_beside(output))
-
-
-def mesh_beside(output: str | Path) -> Path:
-    """The .obj file whose corners a transport.txt is of."""
-    return Path(output).with_suffix(".obj")
-
-
-def _check_mesh_beside(path: Path) -> None:
-    """Raise UserError for a mesh that would be replaced and is not ours: most likely the one that was precomputed."""
-    check_writable(path)
-    if path.exists():
-        with path.open("rb") as file:
-            if file.read(len(OBJ_HEAD)) != OBJ_HEAD:
-                raise UserError(
-                    f"{path}: would be replaced by the triangles as they are numbered here; name the output otherwise"
-                )
 
 
 def check_exportable(packed: CompressedTransfer, what: str, file: str | Path = "") -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import check_choice
+from slepian_prt.errors import UserError, check_choice
 from slepian_prt.export.ambient import Ambient, ambient_part
 from slepian_prt.export.ambient_files import write_ambient_glb, write_ambient_ply
-from slepian_prt.export.games202_files import write_games202
+from slepian_prt.export.games202_files import check_games202, write_games202
 from slepian_prt.export.kinds import ATTRIBUTES, FUNCTIONS, GAMES202, PLY, TRANSFER, check_export, check_exportable
 from slepian_prt.export.transfer_glb import write_transfer_glb
-from slepian_prt.lighting.fitting import one_light
+from slepian_prt.lighting.fitting import each_remark_once, one_light
 from slepian_prt.relighting.files.surfaces import Surface, split_surfaces
 from slepian_prt.runtime.gpu_transfer import gpu_transfer
 from slepian_prt.scene.view import UPS
@@ -49,6 +49,7 @@ class Exported:
     measured: dict[str, float]
 
 
+@each_remark_once()
 def export_model(
     packed: CompressedTransfer,
     path: str | Path,
@@ -73,7 +74,7 @@ def export_model(
         Transfer in the run-time format, for shaders of one's own. Or, for what engines have: radiance of white vertices
         under a constant light of 1; where unblocked light comes from; the visibility of the sky as probe volumes of
         Unity hold it; transfer of degree 0 and 1. Or transfer of degree 0 to 2 as GAMES202 has it, ``transport.txt``,
-        with its mesh beside it as .obj and the ``lights`` as light.txt (light-NAME.txt of several).
+        with its mesh beside it as .obj and .mtl and the ``lights`` as light.txt (light-NAME.txt of several).
     functions : int, optional
         Bytes per vertex of the run-time format, see `gpu_transfer`; by default 16.
     attributes : "bytes", "float" or "texture", optional
@@ -84,7 +85,7 @@ def export_model(
     scene : path, optional
         What the transfer was made from, whose textures are wanted, if that is not where it was.
     up : "y" or "z"
-        What is up in the model; a node puts it upright.
+        What is up in the model; a node puts it upright. The files of GAMES202 are turned to y, lights with them.
     file : path, optional
         Of the transfer: what it was made from is looked for beside it.
     report : callable, optional
@@ -95,7 +96,10 @@ def export_model(
     UserError
         Another kind of file, transfer that has no place in an engine, or a file that cannot be written.
     """
+    _check_arguments(packed, lights or {})
     check_export(path, what, functions, attributes)
+    if what == GAMES202:
+        check_games202(path, tuple(lights or ()))
     check_choice(up, "up", UPS)
     check_exportable(packed, what, file)
     lights = {name: one_light(light, packed.bandlimit) for name, light in (lights or {}).items()}
@@ -108,7 +112,7 @@ def export_model(
         return Exported(Path(path), packed.vertex_count, gpu.error(), gpu.relit_error(), measured)
     ambient = ambient_part(packed, what, lights)
     if what == GAMES202:
-        _write_games202(path, packed, ambient, lights, report)
+        _write_games202(path, packed, ambient, lights, up, report)
     elif Path(path).suffix.lower() == PLY:
         write_ambient_ply(path, packed, ambient, what)
     else:
@@ -118,18 +122,30 @@ def export_model(
     return Exported(Path(path), packed.vertex_count, error, relit, ambient.measured)
 
 
+def _check_arguments(packed: object, lights: Mapping[str, NDArray]) -> None:
+    """Raise UserError for transfer that is not compressed, and for lights whose names are no words."""
+    if not isinstance(packed, CompressedTransfer):
+        raise UserError(
+            f"what is exported must be a CompressedTransfer, not {type(packed).__name__}; compress it first"
+        )
+    if not isinstance(lights, Mapping) or not all(isinstance(name, str) for name in lights):
+        raise UserError("lights must be a dict of names, which are str, to coefficients (3, n²); name each of them")
+
+
 def _write_games202(
     path: str | Path,
     packed: CompressedTransfer,
     ambient: Ambient,
     lights: Mapping[str, NDArray],
+    up: str,
     report: Callable[[str], None],
 ) -> None:
     if packed.bandlimit > 2:
-        report(f"{path}: GAMES202 has degrees 0 to 2; 3 to {packed.bandlimit} are left out")
+        left = "3 is" if packed.bandlimit == 3 else f"3 to {packed.bandlimit} are"
+        report(f"{path}: GAMES202 has degrees 0 to 2; {left} left out")
     if packed.channels == 3:
         report(f"{path}: GAMES202 has one number for all colours; transfer of three channels is their mean")
-    write_games202(path, packed.mesh, ambient.values[:, 0], lights)
+    write_games202(path, packed.mesh, ambient.values[:, 0], lights, up)
 
 
 def _surfaces(

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import logging
 import math
-from functools import cache
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +20,22 @@ from slepian_prt.sphere.harmonics import bandlimit_of, num_coefficients
 
 log = logging.getLogger(__name__)
 
+# Of coefficients: their products with transfer, added up, stay far within float32.
+LARGEST = 1e30
+
+# What was said in the call that is under way, if it is one of many lights.
+_said: ContextVar[set[str] | None] = ContextVar("_said", default=None)
+
+
+@contextmanager
+def each_remark_once() -> Iterator[None]:
+    """Around a call of many lights, a hundred of which would say the same; the next call says it again."""
+    token = _said.set(set() if _said.get() is None else _said.get())
+    try:
+        yield
+    finally:
+        _said.reset(token)
+
 
 def is_lighting(shape: tuple[int, ...]) -> bool:
     """Whether an array of that shape holds coefficients: (3, n²), or (B, 3, n²) of B > 0 lights."""
@@ -25,43 +43,57 @@ def is_lighting(shape: tuple[int, ...]) -> bool:
     return square and shape[-2] == 3 and 0 not in shape
 
 
-def fit_lighting(lighting: NDArray, bandlimit: int) -> NDArray:
-    """Lighting (…, n²) at a bandlimit, (…, (L+1)²): cut or filled up with zeros, with a remark; else as it is."""
+def fit_lighting(lighting: NDArray, bandlimit: int, of: str = "the transfer") -> NDArray:
+    """Lighting (…, n²) at a bandlimit, (…, (L+1)²): cut or filled up with zeros, with a remark; else as it is.
+
+    The remark says ``of`` what that bandlimit is.
+    """
     given, size = bandlimit_of(lighting.shape[-1]), num_coefficients(bandlimit)
     if given == bandlimit:
         return lighting
-    _remark(given, bandlimit)
+    _remark(given, bandlimit, of)
     fitted = np.zeros((*lighting.shape[:-1], size), dtype=lighting.dtype)
     kept = min(size, lighting.shape[-1])
     fitted[..., :kept] = lighting[..., :kept]
     return fitted
 
 
-def one_light(lighting: ArrayLike, bandlimit: int) -> NDArray:
+def one_light(lighting: ArrayLike, bandlimit: int, of: str = "the transfer") -> NDArray:
     """Coefficients (3, n²) of one light at a bandlimit, as `fit_lighting` has them.
 
     Raises
     ------
     UserError
-        Of another shape, or not finite.
+        Of another shape, not real, not finite, or too large.
     """
     values = np.asarray(lighting)
     if values.ndim != 2 or not is_lighting(values.shape):
         raise UserError(f"lighting must have shape (3, n²), n² harmonics in red, green and blue, not {values.shape}")
+    check_lighting(values)
+    return fit_lighting(values, bandlimit, of)
+
+
+def check_lighting(values: NDArray) -> None:
+    """Raise UserError for coefficients that are not real numbers, not finite, or of no light that there is."""
+    if values.dtype.kind not in "biuf":
+        raise UserError(f"lighting must be real numbers, not {values.dtype}")
     if not np.isfinite(values).all():
         raise UserError("lighting must be finite; check the map that it was projected from")
-    return fit_lighting(values, bandlimit)
+    if values.size and max(float(values.max()), -float(values.min())) > LARGEST:
+        raise UserError(f"lighting must be within {LARGEST:g}, which is more than pictures hold; scale it down")
 
 
-@cache
-def _remark(given: int, wanted: int) -> None:
-    """Once: a hundred lights of an animation would say the same."""
+def _remark(given: int, wanted: int, of: str) -> None:
     if given > wanted:
-        log.warning("lighting of bandlimit %d is cut to %d, that of the transfer", given, wanted)
+        text = f"lighting of bandlimit {given} is cut to {wanted}, that of {of}"
     else:
         dark = f"degree {wanted}" if given + 1 == wanted else f"degrees {given + 1} to {wanted}"
-        log.warning(
-            "lighting of bandlimit %d counts as dark in %s of the transfer; project its map at bandlimit %d for all of "
-            "its light",
-            given, dark, wanted,
-        )  # fmt: skip
+        text = (
+            f"lighting of bandlimit {given} counts as dark in {dark} of {of}; project its map at bandlimit {wanted} "
+            "for all of its light"
+        )
+    said = _said.get()
+    if said is None or text not in said:
+        log.warning(text)
+        if said is not None:
+            said.add(text)

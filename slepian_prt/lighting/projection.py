@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.lighting.emitters import SkyEnvironment, project_emitter
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
-from slepian_prt.lighting.fitting import fit_lighting, is_lighting
+from slepian_prt.lighting.fitting import check_lighting, fit_lighting, is_lighting
 from slepian_prt.lighting.light_text import is_light_text, read_light_text
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
 from slepian_prt.sphere.rotation import rotate_sh
+
+log = logging.getLogger(__name__)
 
 
 def project_environment(
@@ -65,13 +68,19 @@ def project_checked(
     *,
     rotate: float | ArrayLike = 0.0,
     clamp_negative: bool = False,
+    fitted_to: str = "the projection",
 ) -> tuple[NDArray[np.float64], int]:
-    """`project_environment`, and how many negative texels were set to zero."""
+    """`project_environment`, and how many negative texels were set to zero.
+
+    ``fitted_to`` is what harmonics of another bandlimit are cut or filled up for, in the remark about that.
+    """
     turn = rotation_matrix(rotate)
     if hasattr(environment, "is_environment"):
         return _of_emitter(environment, bandlimit, turn, clamp_negative)
     if isinstance(environment, str | Path) and is_light_text(environment):
-        return rotate_sh(fit_lighting(read_light_text(environment), bandlimit), turn), 0
+        if clamp_negative:
+            log.warning("%s: holds harmonics, not texels; `clamp_negative` changes nothing in it", environment)
+        return rotate_sh(fit_lighting(read_light_text(environment), bandlimit, fitted_to), turn), 0
     if isinstance(environment, str | Path):
         rows = file_rows(environment)
     elif isinstance(environment, SkyEnvironment):
@@ -115,16 +124,17 @@ def lighting_at(
     """
     bandlimit = check_bandlimit(bandlimit)
     if isinstance(light, str | Path | Environment) or hasattr(light, "is_environment"):
-        return project_environment(light, bandlimit, clamp_negative=clamp_negative)
+        return project_checked(light, bandlimit, clamp_negative=clamp_negative, fitted_to="the transfer")[0]
     try:
-        values = np.asarray(light, dtype=np.float64)
+        values = np.asarray(light)
+        if values.dtype.kind != "c":  # which NumPy would make real by leaving out a part
+            values = values.astype(np.float64, copy=False)
     except (TypeError, ValueError):
         raise UserError(
             f"light must be a path, an Environment, an array or an emitter, not {type(light).__name__}"
         ) from None
     if is_lighting(values.shape):
-        if not np.all(np.isfinite(values)):
-            raise UserError("lighting must be finite; check the map that it was projected from")
+        check_lighting(values)
         return np.asarray(fit_lighting(values, bandlimit))
     if values.ndim == 3 and values.shape[1] == 2 * values.shape[0] and values.shape[2] in (1, 3):
         return project_environment(light, bandlimit, clamp_negative=clamp_negative)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.fitting import fit_lighting, one_light
+from slepian_prt.lighting.fitting import check_lighting, each_remark_once, fit_lighting, one_light
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 
 FALLING = "1/(l+1)"
@@ -55,9 +55,12 @@ def expected_power(lighting: ArrayLike | None, bandlimit: int) -> NDArray[np.flo
     """(L+1,) power per harmonic of lighting (…, n²) at a bandlimit; without one, of light that falls as 1/(l+1)²."""
     if lighting is None:
         return falling_prior(bandlimit).weights ** 2
-    return light_power(fit_lighting(np.asarray(lighting, dtype=np.float64), bandlimit))
+    values = np.asarray(lighting)
+    check_lighting(values)
+    return light_power(fit_lighting(values, bandlimit))
 
 
+@each_remark_once()
 def measured_prior(lighting: Sequence[NDArray], bandlimit: int, name: str) -> LightPrior:
     """Weights from the mean spectrum of environments, each (3, n²), brightness left out.
 
@@ -72,7 +75,7 @@ def measured_prior(lighting: Sequence[NDArray], bandlimit: int, name: str) -> Li
         raise UserError("a light prior needs at least one environment")
     spectra = []
     for light in lighting:
-        power = light_power(one_light(light, bandlimit))
+        power = light_power(one_light(light, bandlimit, "the prior"))
         if not power.max() > 0.0:
             raise UserError(f"{name}: is black and says nothing about light; choose another map")
         spectra.append(power / power[0] if power[0] > _FAINTEST * power.max() else power / power.max())

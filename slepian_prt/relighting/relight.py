@@ -14,7 +14,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
-from slepian_prt.lighting.projection import lighting_at, project_environment, rotation_matrix
+from slepian_prt.lighting.projection import lighting_at, project_checked, rotation_matrix
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.harmonics import num_coefficients
@@ -111,7 +111,7 @@ def stand_lighting(
 ) -> NDArray[np.float64]:
     """Coefficients (3, (L+1)²) or (B, 3, (L+1)²) of what `relight` takes for lighting, where ``up`` is up."""
     if isinstance(lighting, str | Path | Environment) or hasattr(lighting, "is_environment"):
-        return project_environment(lighting, bandlimit, rotate=up_rotation(up))
+        return project_checked(lighting, bandlimit, rotate=up_rotation(up), fitted_to="the transfer")[0]
     lights = lighting_at(lighting, bandlimit)
     turn = up_rotation(up)
     return lights if up == "y" else rotate_sh(lights, turn)

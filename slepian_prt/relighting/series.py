@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import Environment, about_up, check_names, read_environment
+from slepian_prt.lighting.fitting import each_remark_once
 from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.lighting.light_text import is_light_text
 from slepian_prt.lighting.projection import project_checked
@@ -150,6 +151,7 @@ class Series:
     lights: Lights | None = None
 
 
+@each_remark_once()
 def relight_series(
     packed: CompressedTransfer, lights: Lights, file: str, report: Callable[[str], None] = lambda _: None
 ) -> Series:
@@ -238,7 +240,7 @@ def _project_lights(
     projected = []
     for path in lights.maps:
         lighting, clamped = project_checked(
-            path, packed.bandlimit, rotate=lights.stand, clamp_negative=lights.clamp_negative
+            path, packed.bandlimit, rotate=lights.stand, clamp_negative=lights.clamp_negative, fitted_to="the transfer"
         )
         if clamped:
             report(f"{path}: {clamped} negative texels set to zero")

@@ -124,7 +124,7 @@ class GpuTransfer(Summarised):
         (C, K, 3) float32
             Radiance of receiver v is table[c, 0] + Σ_k vertices[v, k - 1] / 255 table[c, k].
         """
-        light = one_light(np.asarray(lighting, dtype=np.float32), self.bandlimit)
+        light = one_light(lighting, self.bandlimit).astype(np.float32)
         table = np.einsum(
             "ckdm,dm->ckd",
             np.broadcast_to(self.functions, (*self.functions.shape[:2], *light.shape)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -20,14 +21,19 @@ __all__ = [
     "OMITTED",
     "SIMULATED",
     "TOLERANCE",
+    "UNKNOWN",
     "Effect",
     "Estimate",
     "PathPlan",
     "Plan",
+    "are_unknown",
     "wanted_effects",
 ]
 
 SIMULATED, OMITTED = "simulated", "omitted"
+
+# Of all that transfer of other programs may hold, which do not say.
+UNKNOWN = "unknown"
 EFFECTS = ("shadows", "interreflection", "colour", *PATH_EFFECTS)
 
 # An effect that changes less than this part of the received light is left out.
@@ -82,8 +88,8 @@ class Effect:
     name : str
     verdict : str
         ``simulated``; ``omitted`` because it contributes too little or was not asked for; ``gathered``, which is not
-        held at vertices but is in pictures that are drawn from the scene; or ``not simulated``, which this method (or
-        this scene) cannot do.
+        held at vertices but is in pictures that are drawn from the scene; ``not simulated``, which this method (or
+        this scene) cannot do; or ``unknown``, the only row of transfer that another program made.
     contribution : float or None
         Part of the received light, in the mean over the surface under a constant environment, that simulating it
         changes; for interreflection at most; of materials, the part of the surface that has them. None where it is
@@ -105,6 +111,11 @@ class Effect:
     def as_dict(self) -> dict[str, Any]:
         """The attributes by name, for JSON."""
         return asdict(self)
+
+
+def are_unknown(effects: Sequence[Effect]) -> bool:
+    """Whether transfer is of another program, which does not say what it simulated, nor with how many rays."""
+    return any(effect.verdict == UNKNOWN for effect in effects)
 
 
 @dataclass(frozen=True, eq=False)

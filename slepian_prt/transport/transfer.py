@@ -21,7 +21,7 @@ from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.by_workers.scene import by_workers
-from slepian_prt.transport.effects import SIMULATED, Effect
+from slepian_prt.transport.effects import SIMULATED, UNKNOWN, Effect, are_unknown
 from slepian_prt.transport.exchange import add_indirect, exchange_light
 from slepian_prt.transport.fixed_lights import direct_fixed_lights
 from slepian_prt.transport.glossy import merge_equal_channels, toward_camera
@@ -54,7 +54,9 @@ class Transfer(Summarised):
         Its vertices are the receivers. Of unit albedo if the reflectance is in ``vectors``.
     parts : tuple of Part
     bandlimit, samples, seed : int
+        Samples and seed are 0 of transfer that another program made.
     effects : tuple of Effect
+        Of such transfer one row, whose verdict is ``unknown``.
     bounces : int
         Of light between surfaces.
     rays_traced : int
@@ -135,15 +137,17 @@ class Transfer(Summarised):
         save_transfer(self, path)
 
     def _summary(self) -> dict[str, object]:
+        foreign = are_unknown(self.effects)
+        simulated = ", ".join(effect.name for effect in self.effects if effect.verdict == SIMULATED) or "none"
         return {
             "source": self.source or self.mesh.name,
             "vertices": len(self.vectors),
             "bandlimit": self.bandlimit,
             "channels": self.vectors.shape[1],
-            "samples": self.samples,
-            "effects": ", ".join(effect.name for effect in self.effects if effect.verdict == SIMULATED) or "none",
-            "bounces": self.bounces,
-            "rays_traced": self.rays_traced,
+            "samples": None if foreign else self.samples,
+            "effects": UNKNOWN if foreign else simulated,
+            "bounces": None if foreign else self.bounces,
+            "rays_traced": None if foreign else self.rays_traced,
             "seconds": sum(self.seconds.values()),
             "environment": None if self.environment is None else self.environment.name,
             "noise": self.noise,

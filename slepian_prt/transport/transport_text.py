@@ -10,6 +10,7 @@ GAMES202, homework 2 (Lingqi Yan, 2021): prt/src/prt.cpp, which writes; src/engi
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,18 @@ from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.sphere.conventions.convert import convert_sh
+from slepian_prt.transport.effects import UNKNOWN, Effect
 from slepian_prt.transport.transfer import Transfer
 
 SUFFIX = ".txt"
 
 # Of bandlimit 2.
 _SIZE = 9
+
+# Numbers of surfaces that send back no more than they receive are below π; squares of these stay within float32.
+_LARGEST = 1e6
+
+_UNKNOWN = Effect("all effects", UNKNOWN, None, None, 0, "GAMES202's transport.txt does not say what was simulated")
 
 # Corners of a vertex may differ by so much of the largest number: six digits are written, and a digit is lost in sums.
 _ROUNDING = 1e-4
@@ -66,16 +73,29 @@ def read_transport(path: str | Path, mesh: str | Path | Mesh) -> Transfer:
     ours = convert_sh(vectors, source="games202", quantity="transfer")
     return Transfer(
         vectors=ours[:, None].astype(np.float32), axes=mesh.normals, mesh=mesh,
-        parts=(Part(mesh.name, 0, len(mesh.positions), 1),), bandlimit=2, samples=0, seed=0, effects=(), bounces=0,
-        rays_traced=0, source=str(path),
+        parts=(Part(mesh.name, 0, len(mesh.positions), 1),), bandlimit=2, samples=0, seed=0, effects=(_UNKNOWN,),
+        bounces=0, rays_traced=0, source=str(path),
     )  # fmt: skip
+
+
+def is_transport_text(path: str | Path) -> bool:
+    """Whether a .txt file begins as such a file does: with a number that stands alone in its line."""
+    path = Path(path)
+    if path.suffix.lower() != SUFFIX or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        first = file.readline(100).removeprefix(codecs.BOM_UTF8)
+        return first.strip().isdigit() and bool(file.read(1))
 
 
 def _read_rows(path: Path) -> NDArray[np.float64]:
     """(corners, 9)."""
     check_readable(path, "a transport.txt")
     try:
-        words = path.read_bytes().split()
+        content = path.read_bytes().removeprefix(codecs.BOM_UTF8)  # which Windows puts before text
+        if b"_" in content:  # Python takes 1_0 for 10
+            raise ValueError
+        words = content.split()
         count, numbers = int(words[0]), np.array(words[1:], dtype=np.float64)
     except (ValueError, IndexError, OSError):
         raise UserError(
@@ -88,6 +108,10 @@ def _read_rows(path: Path) -> NDArray[np.float64]:
         )
     if not np.isfinite(numbers).all():
         raise UserError(f"{path}: holds numbers that are not finite; compute it again")
+    if np.abs(numbers).max() > _LARGEST:
+        raise UserError(
+            f"{path}: holds numbers beyond {_LARGEST:g}, and those of transfer are about 1; compute it again"
+        )
     return numbers.reshape(-1, _SIZE)
 
 

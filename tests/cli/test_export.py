@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import slepian_prt as sp
 from slepian_prt.cli import main
 from tests.conftest import bumpy
 from tests.export.glb_reader import read_glb
@@ -34,6 +35,30 @@ def test_what_it_costs_is_told_in_one_line(folder, capsys):
         assert "% of radiance here, " in line
         assert "% under sky; " in line
         assert line.endswith("% with what the file lost")
+
+
+def test_light_of_the_course_is_taken(folder, tmp_path, capsys):
+    """And is written as it came, where nothing turns it; the loss is that under the map that it is of."""
+    sky = str(sp.example("sky"))
+    theirs = tmp_path / "theirs.txt"
+    np.savetxt(theirs, sp.project_environment(sky, 2).T)
+    command = ["export", str(folder / "ball.prt"), "--as", "games202", "-o", str(tmp_path / "t.txt"), "--environment"]
+    capsys.readouterr()
+    assert main([*command, str(theirs)]) == 0
+    told = capsys.readouterr()
+    assert "% under theirs; " in told.out
+    assert "GAMES202 has degrees 0 to 2; 3 is left out" in told.err
+    assert "counts as dark in degree 3 of the transfer" in told.err
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "light.txt"), np.loadtxt(theirs), rtol=1e-12, atol=1e-12)
+    assert main([*command, str(theirs), "--rotate", "90", "--up", "z"]) == 0
+    turned = sp.project_environment(sky, 2, rotate=90.0)
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "light.txt"), turned.T, rtol=0.0, atol=1e-11)
+
+
+def test_maps_have_different_names(folder, tmp_path, capsys):
+    command = ["export", str(folder / "ball.prt"), "-o", str(tmp_path / "a.glb")]
+    assert main([*command, "--environment", "x/light.exr", "--environment", "y/light.exr"]) == 2
+    assert "environments must have different names, not light, light" in capsys.readouterr().err
 
 
 def test_what_is_up_stands_upright(folder):

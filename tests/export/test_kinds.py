@@ -3,12 +3,14 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from slepian_prt.errors import UserError
 from slepian_prt.export.byte_texture import byte_texture
 from slepian_prt.export.kinds import check_exportable
 from slepian_prt.export.model import export_model
+from slepian_prt.transport.transfer import Transfer
 
 
 @pytest.mark.parametrize(
@@ -34,6 +36,25 @@ def test_bad_wishes(tmp_path, packed, name, options, message):
     with pytest.raises(UserError, match=message) as raised:
         export_model(packed, tmp_path / name, **options)
     assert "\n" not in str(raised.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_compressed_transfer(tmp_path, packed):
+    vectors = packed.reconstruct()
+    transfer = Transfer(vectors, packed.mesh.normals, packed.mesh, packed.parts, packed.bandlimit, 16, 0, (), 0, 0)
+    for what, name in (("games202", "a.txt"), ("transfer", "a.glb"), ("l1", "a.ply")):
+        with pytest.raises(UserError, match=r"must be a CompressedTransfer, not Transfer; compress it first$"):
+            export_model(transfer, tmp_path / name, what)
+    with pytest.raises(UserError, match="must be a CompressedTransfer, not str"):
+        export_model("a.prt", tmp_path / "a.glb")
+
+
+@pytest.mark.parametrize(
+    "lights", [{3: np.ones((3, 9))}, {"a": np.ones((3, 9)), 3: np.ones((3, 9))}, [np.ones((3, 9))]]
+)
+def test_lights_have_names(tmp_path, packed, lights):
+    with pytest.raises(UserError, match=r"^lights must be a dict of names, which are str, to coefficients"):
+        export_model(packed, tmp_path / "a.txt", "games202", lights=lights)
     assert list(tmp_path.iterdir()) == []
 
 

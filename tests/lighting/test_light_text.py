@@ -5,7 +5,6 @@ import pytest
 
 import slepian_prt as sp
 from slepian_prt.errors import UserError
-from slepian_prt.lighting.fitting import _remark
 from slepian_prt.lighting.light_text import light_text, read_light_text
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.sphere.rotation import rotate_sh
@@ -43,6 +42,11 @@ def test_what_is_written_is_read_back(tmp_path, rng):
     assert_exact(read_light_text(tmp_path / "a.txt"), lighting, "17 digits are all of a float64")
 
 
+def test_a_byte_order_mark_is_no_part_of_it(tmp_path, file):
+    (tmp_path / "notepad.txt").write_bytes(b"\xef\xbb\xbf" + file.read_bytes().replace(b"\n", b"\r\n"))
+    assert_exact(read_light_text(tmp_path / "notepad.txt"), read_light_text(file), "the same digits")
+
+
 def test_it_is_light_wherever_a_map_is(file):
     lighting = read_light_text(file)
     assert_exact(sp.project_environment(file, 2), rotate_sh(lighting, np.eye(3)), "the same numbers")
@@ -67,6 +71,9 @@ def test_where_pictures_are_wanted_it_is_refused(file):
         (b"1 2 x\n", "line 1: must be"),
         (b"1 2 nan\n", "line 1: must be"),
         (b"\xff\xfe1", "it is no text"),
+        (b"1_0 2 3\n", "line 1: must be red, green and blue of a harmonic, three numbers"),
+        ("1 2 \u0663\n".encode(), "line 1: must be"),
+        (b"1 2 3\n1 -1e300 0\n", r"line 2: is light beyond 1e\+30, more than pictures hold; scale it down"),
     ],
 )
 def test_what_is_refused(tmp_path, content, message):
@@ -74,6 +81,18 @@ def test_what_is_refused(tmp_path, content, message):
     with pytest.raises(UserError, match=message) as caught:
         read_light_text(tmp_path / "light.txt")
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_about_texels_is_said_to_change_nothing(tmp_path, file, caplog, capsys):
+    from slepian_prt.cli import main
+
+    before = sp.project_environment(file, 2)
+    assert_exact(sp.project_environment(file, 2, clamp_negative=True), before, "the same numbers")
+    assert caplog.messages == [f"{file}: holds harmonics, not texels; `clamp_negative` changes nothing in it"]
+    sp.compress(sp.precompute(sphere(1), bandlimit=2, samples=4), "none").save(tmp_path / "a.prt")
+    command = ["relight", str(tmp_path / "a.prt"), "--environment", str(file), "-o", str(tmp_path / "a.npz")]
+    assert main([*command, "--clamp-negative"]) == 0
+    assert f"note: {file}: holds harmonics, not texels; --clamp-negative changes nothing" in capsys.readouterr().err
 
 
 def test_missing_file(tmp_path):
@@ -84,7 +103,6 @@ def test_missing_file(tmp_path):
 def test_the_command_takes_it(tmp_path, file, capsys):
     from slepian_prt.cli import main
 
-    _remark.cache_clear()  # made once in a process
     mesh = make_mesh(sphere(1).positions, sphere(1).faces)
     sp.compress(sp.precompute(mesh, bandlimit=3, samples=16), "none").save(tmp_path / "a.prt", keep_order=True)
     assert main(["relight", str(tmp_path / "a.prt"), "--environment", str(file), "-o", str(tmp_path / "a.npz")]) == 0

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -43,3 +44,19 @@ def test_checkouts_that_are_there_are_taken(own_code, tmp_path):
     (tmp_path / "sources" / "PIFu").mkdir(parents=True)
     workshop = own_code.Workshop(tmp_path, tmp_path / "sources")
     assert workshop.checkout("PIFu") == tmp_path / "sources" / "PIFu"
+
+
+def test_each_row_runs_code_of_its_own(own_code):
+    """Of what is brought here, the first thing that each asks for: no two are the same code under two names."""
+    asked = []
+
+    def ask(*what):
+        asked.append(what)
+        raise own_code.Missing(what)
+
+    bare = SimpleNamespace(checkout=ask, package=ask, run=ask, folder=Path("nowhere"))
+    for name, (compare, _) in own_code.TOOLS.items():
+        if name != "shtools":  # which is installed, or not compared
+            with pytest.raises(own_code.Missing):
+                compare(bare)
+    assert len(set(asked)) == len(own_code.TOOLS) - 1

@@ -18,6 +18,7 @@ from slepian_prt.compression.files.stored_transfer import check_schema, stored_t
 from slepian_prt.compression.files.transfer_arrays import pack_transfer
 from slepian_prt.compression.files.vertex_order import in_file_order
 from slepian_prt.compression.stored_mesh.stored import pack_order
+from slepian_prt.errors import UserError
 
 
 def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = False) -> None:
@@ -97,9 +98,22 @@ def load(path: str | Path, *, check: bool = True) -> CompressedTransfer:
     UserError
         Missing, foreign, cut short, damaged, or from another version.
     """
+    if Path(path).suffix.lower() == ".txt":
+        _refuse_transport(path)
     contents = container.Contents(path)
     if check:
         check_schema(contents)
     packed = stored_transfer(contents)
     remember_size(packed, contents.sizes)
     return packed
+
+
+def _refuse_transport(path: str | Path) -> None:
+    """Raise UserError for a transport.txt, which is transfer too, and needs its mesh."""
+    from slepian_prt.transport.transport_text import is_transport_text  # only here: few files are such
+
+    if is_transport_text(path):
+        raise UserError(
+            f"{path}: is a transport.txt of GAMES202, without its mesh; make a transfer file of both in Python: "
+            f"sp.compress(sp.load_transfer({str(path)!r}, mesh='NAME.obj'), tolerance=0.02).save('NAME.prt')"
+        )

@@ -46,7 +46,7 @@ def scene_integrator(
     """
     coefficients = None
     if lighting is not None:
-        coefficients = one_light(np.asarray(lighting, dtype=np.float64), packed.bandlimit)
+        coefficients = one_light(lighting, packed.bandlimit).astype(np.float64)
     register()
     properties = mi.Properties(NAME)
     properties["albedo"] = albedo

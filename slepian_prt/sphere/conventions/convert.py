@@ -57,7 +57,8 @@ def convert_sh(
     Raises
     ------
     UserError
-        A tool or quantity that there is not, an array of another shape, or of degrees that the source cannot have.
+        A tool or quantity that there is not; an array of another shape, or of degrees that the source cannot have;
+        numbers that are complex, masked or not finite, or that do not fit the type of the result.
 
     Examples
     --------
@@ -73,14 +74,21 @@ def convert_sh(
     theirs, wanted = NEIGHBOURS[source], NEIGHBOURS[target]
     quantity = _quantity(source, target, quantity)
     form, written = theirs.forms[quantity], wanted.forms[quantity]
-    values = _checked(coefficients, source, form)
-    rows = _read(values, theirs, form)
-    if keep == MAP and theirs.map_turn != wanted.map_turn:
-        rows = rotate_sh(rows, _about_y(wanted.map_turn - theirs.map_turn))
-    rows = _fitted(rows, target, wanted)
-    if "3" in written.layout.shape and (rows.ndim < 2 or rows.shape[-2] != 3):
-        raise UserError(f"{target} holds red, green and blue; give coefficients of three colours, not {values.shape}")
-    return _write(rows, wanted, written).astype(np.float32 if values.dtype == np.float32 else np.float64)
+    given = _checked(coefficients, source, form)
+    kind = np.float32 if given.dtype == np.float32 else np.float64
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for float64 is found below
+        rows = _fitted(_read(given, theirs, form), target, wanted)
+        if keep == MAP and theirs.map_turn != wanted.map_turn:
+            rows = rotate_sh(rows, _about_y(wanted.map_turn - theirs.map_turn))
+        if written.layout.colours and (rows.ndim < 2 or rows.shape[-2] != 3):
+            raise UserError(
+                f"{target} holds red, green and blue; give coefficients of three colours, not {given.shape}"
+            )
+        values = _write(rows, wanted, written)
+    if not np.abs(values).max(initial=0.0) <= np.finfo(kind).max:
+        remedy = "give them as float64, or scale them down" if kind is np.float32 else "scale them down"
+        raise UserError(f"coefficients are too large: as {target} has them they do not fit {kind.__name__}; {remedy}")
+    return values.astype(kind)
 
 
 def _quantity(source: str, target: str, quantity: str | None) -> str:
@@ -104,13 +112,17 @@ def _quantity(source: str, target: str, quantity: str | None) -> str:
 
 
 def _checked(coefficients: ArrayLike, source: str, form: Form) -> NDArray:
-    """The numbers as floats, if they have a shape that the source has."""
+    """The numbers, if they are real, finite and of a shape that the source has."""
+    if np.ma.is_masked(coefficients):
+        raise UserError("coefficients must not be masked; fill in what is hidden, say with `filled(0.0)`")
     try:
         values = np.asarray(coefficients)
     except ValueError:
         raise UserError("coefficients must be an array: their rows differ in length") from None
     if values.dtype.kind not in "iuf":
         raise UserError(f"coefficients must be real numbers, not {values.dtype}")
+    if not np.isfinite(values).all():
+        raise UserError("coefficients must be finite; look where they were computed")
     bandlimit = form.layout.bandlimit(values.shape)
     if bandlimit is None:
         raise UserError(f"coefficients of {source} must have shape {form.layout.shape}, not {values.shape}")
@@ -120,7 +132,7 @@ def _checked(coefficients: ArrayLike, source: str, form: Form) -> NDArray:
             f"coefficients of {source} have bandlimit {neighbour.bandlimits}, and {values.shape} is {bandlimit}; cut "
             "them, or name the tool that they are of"
         )
-    return values if values.dtype == np.float32 else values.astype(np.float64)
+    return values
 
 
 def _read(values: NDArray, neighbour: Neighbour, form: Form) -> NDArray[np.float64]:
@@ -147,7 +159,8 @@ def _fitted(rows: NDArray[np.float64], name: str, neighbour: Neighbour) -> NDArr
     """Rows of a bandlimit that a tool can hold."""
     bandlimit, highest = bandlimit_of(rows.shape[-1]), neighbour.highest
     if highest is not None and bandlimit > highest:
-        log.warning("%s holds degrees up to %d; %d to %d are left out", name, highest, highest + 1, bandlimit)
+        left = f"{bandlimit} is" if bandlimit == highest + 1 else f"{highest + 1} to {bandlimit} are"
+        log.warning("%s holds degrees up to %d; %s left out", name, highest, left)
         return cut_or_filled(rows, highest)
     return cut_or_filled(rows, neighbour.lowest) if bandlimit < neighbour.lowest else rows
 

@@ -18,7 +18,9 @@ from slepian_prt.sphere.harmonics import degrees, num_coefficients, orders
 
 @dataclass(frozen=True)
 class Layout:
-    """Attributes
+    """An array that a tool keeps coefficients in.
+
+    Attributes
     ----------
     shape : str
         For the reader: what the last axes are.

@@ -2,12 +2,14 @@
 
 import logging
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import slepian_prt as sp
 from slepian_prt.errors import UserError
+from slepian_prt.sphere.conventions import convert
 from slepian_prt.sphere.conventions.convert import convert_sh
 from slepian_prt.sphere.conventions.neighbours import FUNCTION, LIGHTING, NEIGHBOURS, OURS, TRANSFER
 from slepian_prt.sphere.quadrature import cap_rule
@@ -161,6 +163,22 @@ def test_three_js_puts_the_middle_of_a_map_at_x(rng):
     assert np.abs(convert_sh(ours, target="three") - probe).max() > 0.1 * size
 
 
+def test_degrees_that_a_tool_does_not_hold_are_not_turned(monkeypatch, rng):
+    """Rotations of many degrees take long, and each degree is turned by itself."""
+    turned = []
+
+    def rotate(rows, rotation):
+        turned.append(rows.shape)
+        return sp.rotate_sh(rows, rotation)
+
+    monkeypatch.setattr(convert, "rotate_sh", rotate)
+    light = rng.normal(size=(3, 31**2))
+    probe = convert_sh(light, target="three", keep="map")
+    assert turned == [(3, 9)]
+    whole = sp.rotate_sh(light, [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    np.testing.assert_allclose(probe, convert_sh(whole, target="three"), rtol=0.0, atol=1e-13)
+
+
 # --- What is refused, and what is said --------------------------------------------------------------------------------
 
 
@@ -191,7 +209,15 @@ def test_what_is_refused(arguments, message):
         (3.0, {}, r"not \(\)"),
         ([[1.0], [1.0, 2.0]], {}, "rows differ in length"),
         (np.zeros(9, dtype=complex), {}, "must be real numbers, not complex128"),
+        (np.zeros((3, 9), dtype=complex), {"target": "three"}, "must be real numbers, not complex128"),
         (["a"], {}, "must be real numbers"),
+        (np.full(9, np.nan), {}, "^coefficients must be finite; look where"),
+        (
+            np.full((3, 9), -np.inf, dtype=np.float32),
+            {"target": "three", "keep": "map"},
+            "^coefficients must be finite",
+        ),
+        (np.ma.masked_greater(np.arange(9.0), 4.0), {}, "^coefficients must not be masked; fill in what is hidden"),
         (np.zeros((16, 3)), {"source": "three"}, r"of three have bandlimit 2, and \(16, 3\) is 3; cut them"),
         (np.zeros((4, 3)), {"source": "deca"}, r"of deca have bandlimit 2, and \(4, 3\) is 1"),
         (np.zeros(75), {"source": "gaussian-splatting"}, r"have bandlimit 0 to 3, and \(75,\) is 4"),
@@ -204,11 +230,43 @@ def test_arrays_that_are_refused(values, arguments, message):
         convert_sh(values, **arguments)
 
 
+def test_results_fit_their_type():
+    """π times what float32 holds is more than it holds, and no warning of NumPy; in float64 there is room."""
+    large = np.full((2, 9), 3e38, dtype=np.float32)
+    pifu = {"target": "pifu", "quantity": TRANSFER}
+    with pytest.raises(
+        UserError, match=r"^coefficients are too large: as pifu has them they do not fit float32; give th"
+    ):
+        convert_sh(large, **pifu)
+    expected = math.pi * large.astype(float) * np.array([1, -1, 1, -1, 1, -1, 1, -1, 1])
+    np.testing.assert_allclose(convert_sh(large.astype(float), **pifu), expected, rtol=1e-15)
+    assert convert_sh(large, target="google").dtype == np.float32
+    with pytest.raises(UserError, match=r"they do not fit float64; scale them down$"):
+        convert_sh(np.full(9, 1e308), **pifu)
+
+
+def test_a_mask_that_hides_nothing_is_no_matter():
+    values = np.arange(9.0)
+    assert_exact(convert_sh(np.ma.masked_array(values)), values, "the same numbers")
+
+
+def test_whether_there_are_colours_is_not_read_from_text(monkeypatch):
+    """The text of a layout is for readers."""
+    (form,) = set(NEIGHBOURS["filament"].forms.values())
+    named = replace(form, layout=replace(form.layout, shape="(…, n², RGB)"))
+    tool = replace(NEIGHBOURS["filament"], forms={LIGHTING: named})
+    monkeypatch.setattr(convert, "NEIGHBOURS", {**NEIGHBOURS, "filament": tool})
+    with pytest.raises(UserError, match=r"filament holds red, green and blue; give .* three colours, not \(9,\)"):
+        convert_sh(np.zeros(9), target="filament", quantity=LIGHTING)
+
+
 def test_degrees_that_a_tool_does_not_hold_are_left_out_and_said(rng, caplog):
     caplog.set_level(logging.INFO)
     long = rng.normal(size=(3, 36))
     assert_exact(convert_sh(long, target="three"), convert_sh(long[:, :9], target="three"), "the same numbers")
-    assert caplog.messages == ["three holds degrees up to 2; 3 to 5 are left out"]
+    convert_sh(long[:, :16], target="three")
+    told = "three holds degrees up to 2; 3 "
+    assert caplog.messages == [f"{told}to 5 are left out", f"{told}is left out"]
 
 
 def test_degrees_that_a_tool_must_have_are_zero(rng, caplog):
