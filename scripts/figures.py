@@ -155,13 +155,14 @@ def viewer() -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=options)
         page = browser.new_page(viewport={"width": 1200, "height": 760})
         page.goto(f"{page_file.as_uri()}#mode=split&compare=model&functions=4&turn=-30&split=0.37&background=%23e4e7ea")
+        page.wait_for_selector("#lights canvas", timeout=_LONGEST)  # the picture of the map, which comes last
         page.wait_for_timeout(_AT_REST)
         write("viewer", page.screenshot())
         browser.close()
 
 
-# Milliseconds after which a page has drawn all that it will.
-_AT_REST = 8000
+# Milliseconds for a page to open, and after which it has drawn all that it will.
+_LONGEST, _AT_REST = 60_000, 8000
 
 
 def accuracy() -> None:
