@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import operator
 from collections.abc import Callable, Iterable
@@ -68,10 +69,12 @@ def check_epsilon(epsilon: Any, name: str = "epsilon") -> float:
 
 
 def check_choice(value: Any, name: str, choices: Iterable[str]) -> None:
-    """Raise UserError unless ``value`` is one of the ``choices``."""
+    """Raise UserError unless ``value`` is one of the ``choices``; it names the one that may have been meant."""
     choices = tuple(choices)
     if value not in choices:
-        raise UserError(f"{name} must be one of {', '.join(choices)}, not {value!r}")
+        near = difflib.get_close_matches(value.lower(), choices, n=1) if isinstance(value, str) else []
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise UserError(f"{name} must be one of {', '.join(choices)}, not {value!r}{meant}")
 
 
 def _check_real(value: Any, name: str, interval: str, inside: Callable[[float], bool]) -> float:

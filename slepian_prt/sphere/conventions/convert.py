@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError, check_choice
-from slepian_prt.sphere.conventions.layouts import cut_or_filled
+from slepian_prt.sphere.conventions.layouts import PROPERTIES, Layout, cut_or_filled
 from slepian_prt.sphere.conventions.neighbours import NEIGHBOURS, OURS, QUANTITIES, Form, Neighbour
 from slepian_prt.sphere.harmonics import bandlimit_of
 from slepian_prt.sphere.rotation import rotate_sh
@@ -36,7 +36,7 @@ def convert_sh(
 
     Parameters
     ----------
-    coefficients : array
+    coefficients : array, or pyshtools.SHCoeffs
         In the layout of the source: (…, n²), (…, 3, n²), (…, n², 3), (…, 2, L+1, L+1) of SHTOOLS, or (…, 3n²) of the
         properties f_dc and f_rest of splats.
     source, target : str
@@ -113,6 +113,8 @@ def _quantity(source: str, target: str, quantity: str | None) -> str:
 
 def _checked(coefficients: ArrayLike, source: str, form: Form) -> NDArray:
     """The numbers, if they are real, finite and of a shape that the source has."""
+    if hasattr(coefficients, "normalization") and hasattr(coefficients, "csphase"):
+        coefficients = _of_pyshtools(coefficients, source)
     if np.ma.is_masked(coefficients):
         raise UserError("coefficients must not be masked; fill in what is hidden, say with `filled(0.0)`")
     try:
@@ -125,7 +127,8 @@ def _checked(coefficients: ArrayLike, source: str, form: Form) -> NDArray:
         raise UserError("coefficients must be finite; look where they were computed")
     bandlimit = form.layout.bandlimit(values.shape)
     if bandlimit is None:
-        raise UserError(f"coefficients of {source} must have shape {form.layout.shape}, not {values.shape}")
+        advice = _reshaped(values, form.layout)
+        raise UserError(f"coefficients of {source} must have shape {form.layout.shape}, not {values.shape}{advice}")
     neighbour = NEIGHBOURS[source]
     if bandlimit < neighbour.lowest or (neighbour.highest is not None and bandlimit > neighbour.highest):
         raise UserError(
@@ -133,6 +136,29 @@ def _checked(coefficients: ArrayLike, source: str, form: Form) -> NDArray:
             "them, or name the tool that they are of"
         )
     return values
+
+
+def _of_pyshtools(coefficients: Any, source: str) -> NDArray:
+    """The array of an ``SHCoeffs``, which says itself what it holds."""
+    form = coefficients.normalization, coefficients.csphase, coefficients.kind
+    if source != "shtools" or form != ("4pi", 1, "real"):
+        raise UserError(
+            f"coefficients of pyshtools are those of source 'shtools' with normalization 4pi, csphase 1, real, not of "
+            f"{source!r} with {form[0]}, {form[1]}, {form[2]}; give `.convert(normalization='4pi', csphase=1)`"
+        )
+    return np.asarray(coefficients.coeffs)
+
+
+def _reshaped(values: NDArray, layout: Layout) -> str:
+    """What may have been meant by an array of another shape."""
+    if values.ndim == 2 and layout.bandlimit(values.T.shape) is not None:
+        return "; transpose it, or name the tool that it is of"
+    size = values.size // 3
+    if values.ndim == 1 and 3 * size == values.size and layout.bandlimit((size, 3)) is not None and layout.colours:
+        return f"; reshape it to ({size}, 3)"
+    if values.ndim >= 3 and layout is PROPERTIES:
+        return "; with the colours last they are those of khr-gaussian-splatting"
+    return ""
 
 
 def _read(values: NDArray, neighbour: Neighbour, form: Form) -> NDArray[np.float64]:

@@ -90,6 +90,8 @@ def _to_triangles(rows: NDArray) -> NDArray:
 
 
 def _properties(shape: tuple[int, ...]) -> int | None:
+    if len(shape) >= 3 and shape[-1] == 3 and shape[-2] in (4, 9, 16):
+        return None  # the features of the trainer, colours last, which is another layout
     return _of_square(shape[-1] // 3) if shape and shape[-1] % 3 == 0 else None
 
 

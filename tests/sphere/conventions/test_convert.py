@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pyshtools
 import pytest
 
 import slepian_prt as sp
@@ -186,19 +187,31 @@ def test_degrees_that_a_tool_does_not_hold_are_not_turned(monkeypatch, rng):
     ("arguments", "message"),
     [
         ({"target": "unity"}, "^target must be one of slepian_prt, d3dx, .* not 'unity'$"),
-        ({"source": "three.js"}, "^source must be one of"),
+        ({"source": "three.js"}, "^source must be one of .*, not 'three.js'; did you mean three[?]$"),
+        ({"source": "pySHTOOLS"}, "; did you mean shtools[?]$"),
         ({"target": "pifu"}, "^quantity must say .* transfer or lighting, as they differ in pifu$"),
         ({"target": "three", "quantity": "transfer"}, "^three has no transfer, but lighting and function$"),
         ({"target": "three", "quantity": "colour"}, "^quantity must be one of transfer, .*, not .colour."),
         ({"target": "three", "keep": "up"}, "^keep must be one of directions, map, not 'up'$"),
         ({"source": "deca", "target": "gaussian-splatting"}, "^deca has lighting, and .* function: nothing in common$"),
-        ({"source": "three"}, r"^coefficients of three must have shape \(…, n², 3\), not \(3, 9\)$"),
+        ({"source": "three"}, r"^coefficients of three must .* \(…, n², 3\), not \(3, 9\); transpose it, or"),
         ({"source": "shtools"}, r"^coefficients of shtools must have shape \(…, 2, L\+1, L\+1\), not \(3, 9\)$"),
     ],
 )  # fmt: skip
 def test_what_is_refused(arguments, message):
     with pytest.raises(UserError, match=message):
         convert_sh(np.zeros((3, 9)), **arguments)
+
+
+def test_objects_of_pyshtools_say_what_they_hold(rng):
+    theirs = convert_sh(rng.normal(size=16), target="shtools")
+    coefficients = pyshtools.SHCoeffs.from_array(theirs)
+    assert_exact(convert_sh(coefficients, source="shtools"), convert_sh(theirs, source="shtools"), "the same numbers")
+    other = coefficients.convert(normalization="ortho", csphase=-1)
+    with pytest.raises(UserError, match=r"of 'shtools' with ortho, -1, real; give `[.]convert\("):
+        convert_sh(other, source="shtools")
+    with pytest.raises(UserError, match="not of 'sphericart' with 4pi, 1, real"):
+        convert_sh(coefficients, source="sphericart")
 
 
 @pytest.mark.parametrize(
@@ -221,6 +234,13 @@ def test_what_is_refused(arguments, message):
         (np.zeros((16, 3)), {"source": "three"}, r"of three have bandlimit 2, and \(16, 3\) is 3; cut them"),
         (np.zeros((4, 3)), {"source": "deca"}, r"of deca have bandlimit 2, and \(4, 3\) is 1"),
         (np.zeros(75), {"source": "gaussian-splatting"}, r"have bandlimit 0 to 3, and \(75,\) is 4"),
+        (np.zeros(27), {"source": "three"}, r"not \(27,\); reshape it to \(9, 3\)$"),
+        (np.zeros((9, 3)), {}, r"must have shape \(…, n²\), not \(9, 3\); transpose it, or name the tool"),
+        (
+            np.zeros((7, 16, 3)),
+            {"source": "gaussian-splatting"},
+            "colours last they are .* khr-gaussian-splatting",
+        ),
         (np.zeros(9), {"target": "three"}, r"three holds red, green and blue; give .* three colours, not \(9,\)"),
         (np.zeros((4, 9)), {"target": "gaussian-splatting"}, "three colours"),
     ],
