@@ -80,7 +80,7 @@ def generalized_shannon_number(
     region, boundary = 4.0 * math.pi * number, k * _extent(half_angle).boundary
     if region > 1.0 and boundary > 1.0:
         b = 2.0 * math.log(boundary) / math.log(2.0 * math.pi)
-        number += math.log((1.0 - epsilon) / epsilon, log_base) * b * math.log(region, log_base)
+        number += _log_odds(epsilon) / math.log(log_base) * b * math.log(region, log_base)
     return min(max(number, 0.0), float(k if radially_symmetric else k * k))
 
 
@@ -101,6 +101,11 @@ def refined_shannon_number(
     g = 1 - ln|cos Θ| - artanh(sin Θ)/sin Θ, and g = 1 - ln 2 at 90°. Any other region has |∂U|/2π for the first sin Θ,
     2A(1 - A/4π)/|∂U| for the second, and g of the cap of its area: the same numbers where it is a cap.
 
+    The second term is largest where ℓ is about 2π times the argument of its logarithm, and falls beyond, as no count
+    does: there it stays at its maximum, which is 0 where that argument is below e^(ψ(½)) = .14. So N_ref never falls as
+    ε does, and is at least N for ε < ½. On regions so small or thin that it no longer grows it is too low, and nothing
+    but N on the smallest ones; see docs/shannon.md.
+
     Radially symmetric functions of a cap are those of one order, m = 0, a problem on the interval [0, Θ] with one end
     in angle and one in degree. Each such pair gives half of the logarithmic term of the line, which has two ends
     (Landau & Widom 1980):
@@ -108,7 +113,8 @@ def refined_shannon_number(
         N_ref = K Θ/π + (1/2π²) [ℓ ln(4 K sin Θ) - φ] + 3 (ℓ²/π² - 1)/(16π K tan Θ).
 
     The argument 4 K sin Θ and the last term, of the next order and kept within ±½, were found from exact spectra up to
-    L = 400. From K sin Θ = 2 on, the i-th eigenvalue λ has N_ref(λ) = i - ½ to .01 where λ and 1 - λ are above 1e-4.
+    L = 400. From K sin Θ = 2 on, the i-th eigenvalue λ has N_ref(λ) = i - ½ where λ and 1 - λ are above 1e-4: to .03,
+    and to .01 from L = 40 on. The last term makes N_ref(½) differ from N by 3/(16π K tan Θ).
 
     Parameters
     ----------
@@ -126,18 +132,14 @@ def refined_shannon_number(
     bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
     bandlimit = int(_degrees_above(bandlimit, epsilon, kernel).max(initial=0))
     number = shannon_number(bandlimit, half_angle, radially_symmetric=radially_symmetric)
-    k, extent, ratio = bandlimit + 1, _extent(half_angle), math.log((1.0 - epsilon) / epsilon)
+    k, extent, ratio = bandlimit + 1, _extent(half_angle), _log_odds(epsilon)
     if extent.boundary > 0.0:
-        from scipy.special import loggamma  # takes an eighth of a second to import
-
-        phase = 2.0 * math.pi * float(loggamma(complex(0.5, ratio / (2.0 * math.pi))).imag)
         if radially_symmetric:
-            next_order = 3.0 * ((ratio / math.pi) ** 2 - 1.0) / (16.0 * math.pi * k * math.tan(extent.cap_angle))
-            number += (ratio * math.log(4.0 * k * extent.width) - phase) / (2.0 * math.pi**2)
-            number += min(max(next_order, -0.5), 0.5)
+            next_order = 3.0 / (16.0 * math.pi * k * math.tan(extent.cap_angle))
+            number += _second_term(ratio, 0.5 / math.pi**2, math.log(4.0 * k * extent.width), next_order)
         else:
-            c = 32.0 * math.exp(-3.0 + _curvature_term(extent.cap_angle)) * k * extent.width
-            number += k * extent.boundary / (2.0 * math.pi**3) * (ratio * math.log(c) - phase)
+            argument = math.log(32.0 * k * extent.width) - 3.0 + _curvature_term(extent.cap_angle)
+            number += _second_term(ratio, k * extent.boundary / (2.0 * math.pi**3), argument)
     return min(max(number, 0.0), float(k if radially_symmetric else k * k))
 
 
@@ -252,6 +254,42 @@ def _angle_of_symmetry(half_angle: float | Region, what: str = "radially symmetr
     if isinstance(half_angle, Region):
         raise UserError(f"{what} are those of a cap: give its half_angle in radians, not a region")
     return check_half_angle(half_angle)
+
+
+def _log_odds(epsilon: float) -> float:
+    """ℓ = ln((1-ε)/ε), whose quotient overflows below 1e-308."""
+    return math.log1p(-epsilon) - math.log(epsilon)
+
+
+def _second_term(ratio: float, weight: float, argument: float, next_order: float = 0.0) -> float:
+    """w [ℓ a - φ(ℓ)] + q (ℓ²/π² - 1), the last within ±½, as far from ℓ = 0 as it grows with ℓ; 0 if nowhere.
+
+    φ' = Re ψ(½ + iℓ/2π) grows without end as |ℓ| does.
+
+    Parameters
+    ----------
+    ratio : float
+        ℓ.
+    weight, argument, next_order : float
+        w > 0, the logarithm a, and q.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import digamma, loggamma  # takes an eighth of a second to import
+
+    if argument <= float(digamma(0.5)):
+        return 0.0
+    # Of the complement, with 1 - ε for ε, the sum is the same but for its sign; so ℓ >= 0 is enough.
+    sign, distance = math.copysign(1.0, ratio), abs(ratio)
+    q = sign * next_order
+
+    def slope(x: float) -> float:
+        return weight * (argument - float(digamma(complex(0.5, x / (2.0 * math.pi))).real)) + 2.0 * min(q, 0.0) * x / math.pi**2
+
+    # A next order that falls takes the sum along; one that grows to ½ does so by itself.
+    grown = distance if slope(distance) >= 0.0 else float(brentq(slope, 0.0, distance))
+    phase = 2.0 * math.pi * float(loggamma(complex(0.5, grown / (2.0 * math.pi))).imag)
+    squared = (distance if q > 0.0 else grown) ** 2 / math.pi**2
+    return sign * (weight * (grown * argument - phase) + min(max(q * (squared - 1.0), -0.5), 0.5))
 
 
 def _curvature_term(half_angle: float) -> float:

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import loggamma
 
 from slepian_prt.errors import UserError
 from slepian_prt.slepian.concentration import cap_basis
@@ -102,6 +103,53 @@ def test_refined_number_of_radially_symmetric_functions_where_the_cap_is_too_sma
     half_angle = math.radians(degrees)
     count = concentration_count(bandlimit, half_angle, epsilon, radially_symmetric=True)
     assert abs(refined_shannon_number(bandlimit, half_angle, epsilon, radially_symmetric=True) - count) < 1.0
+
+
+TINY_TO_LARGE = (1e-320, 1e-300, 1e-100, *np.logspace(-16, -1, 31), 0.3, 0.5, 0.7, *(1 - np.logspace(-1, -16, 16)))
+
+
+@pytest.mark.parametrize("bandlimit", [0, 2, 5, 20])
+@pytest.mark.parametrize("degrees", [1e-6, 0.1, 1.0, 5.0, 10.0, 30.0, 90.0, 150.0, 170.0, 179.0, 180.0 - 1e-7])
+@pytest.mark.parametrize("radial", [False, True])
+def test_refined_number_never_falls_as_epsilon_does(bandlimit, degrees, radial):
+    half_angle = math.radians(degrees)
+    numbers = [refined_shannon_number(bandlimit, half_angle, x, radially_symmetric=radial) for x in TINY_TO_LARGE]
+    size = bandlimit + 1 if radial else (bandlimit + 1) ** 2
+    assert np.all(np.diff(numbers) <= 1e-14 * size)  # and none is nan
+    if not radial:  # a radial one has a next order, which does not vanish at ½
+        shannon = shannon_number(bandlimit, half_angle)
+        below = [x < 0.5 for x in TINY_TO_LARGE]
+        assert min(x for x, small in zip(numbers, below, strict=True) if small) >= shannon
+        assert max(x for x, small in zip(numbers, below, strict=True) if not small) <= shannon * (1 + 1e-14)
+
+
+def test_refined_number_stays_at_the_maximum_of_its_second_term():
+    # L = 5, 10°: the formula as it stands, on a grid of ℓ.
+    half_angle, bandlimit = math.radians(10.0), 5
+    sine = 6 * math.sin(half_angle)
+    g = 1 - math.log(math.cos(half_angle)) - math.atanh(math.sin(half_angle)) / math.sin(half_angle)
+    ratio = np.linspace(0.0, 30.0, 30001)
+    phase = 2 * math.pi * loggamma(0.5 + 1j * ratio / (2 * math.pi)).imag
+    second = sine / math.pi**2 * (ratio * math.log(32 * math.exp(g - 3) * sine) - phase)
+    best = shannon_number(bandlimit, half_angle) + second.max()
+    at = math.exp(-ratio[second.argmax()])
+    for epsilon in (at, 1e-8, 1e-30, 1e-320):
+        # Half a step from a maximum of curvature below .1.
+        assert refined_shannon_number(bandlimit, half_angle, epsilon) == pytest.approx(best, abs=1e-6)
+    assert second.argmax() < 20000 and second[-1] < 0.9 * second.max()  # else nothing was tested
+
+
+def test_refined_number_of_regions_too_thin_for_it():
+    for inner in (0.99, 0.999, 0.97):
+        ring = cap_region((0, 0, 1), 1.0) - cap_region((0, 0, 1), inner)
+        assert refined_shannon_number(10, ring, 0.01) >= shannon_number(10, ring)
+        assert refined_shannon_number(10, ~ring, 0.99) <= shannon_number(10, ~ring)
+
+
+@pytest.mark.parametrize("half_angle", [math.radians(179.0), math.pi - 1e-9, math.pi - 1e-15])
+def test_refined_number_of_all_radially_symmetric_functions(half_angle):
+    assert concentration_count(5, half_angle, 0.01, radially_symmetric=True) == 6
+    assert refined_shannon_number(5, half_angle, 0.01, radially_symmetric=True) == pytest.approx(6.0, abs=0.05)
 
 
 def test_szegos_number_of_a_kernel():
