@@ -113,8 +113,8 @@ def refined_shannon_number(
         N_ref = K Θ/π + (1/2π²) [ℓ ln(4 K sin Θ) - φ] + 3 (ℓ²/π² - 1)/(16π K tan Θ).
 
     The argument 4 K sin Θ and the last term, of the next order and kept within ±½, were found from exact spectra up to
-    L = 400. From K sin Θ = 2 on, the i-th eigenvalue λ has N_ref(λ) = i - ½ where λ and 1 - λ are above 1e-4: to .03,
-    and to .01 from L = 40 on. The last term makes N_ref(½) differ from N by 3/(16π K tan Θ).
+    L = 400. The i-th eigenvalue λ has N_ref(λ) = i - ½ where λ and 1 - λ are above 1e-4: to .035 from K sin Θ = 2 on,
+    and to .01 from 6 on. The last term makes N_ref(½) differ from N by 3/(16π K tan Θ).
 
     Parameters
     ----------
@@ -283,7 +283,10 @@ def _second_term(ratio: float, weight: float, argument: float, next_order: float
     q = sign * next_order
 
     def slope(x: float) -> float:
-        return weight * (argument - float(digamma(complex(0.5, x / (2.0 * math.pi))).real)) + 2.0 * min(q, 0.0) * x / math.pi**2
+        return (
+            weight * (argument - float(digamma(complex(0.5, x / (2.0 * math.pi))).real))
+            + 2.0 * min(q, 0.0) * x / math.pi**2
+        )
 
     # A next order that falls takes the sum along; one that grows to ½ does so by itself.
     grown = distance if slope(distance) >= 0.0 else float(brentq(slope, 0.0, distance))
