@@ -169,7 +169,7 @@ def szego_number(
     bandlimit, half_angle, radially_symmetric : as in `shannon_number`
     epsilon : float in (0, 1)
     kernel : (L+1,) zonal coefficients, optional
-        As `cosine_lobe` gives them; by default all are equal.
+        As `cosine_lobe` gives them, on any scale; by default all are equal.
 
     Raises
     ------
@@ -210,7 +210,8 @@ def concentration_count(
     epsilon = check_epsilon(epsilon)
     if kernel is not None:
         angle = _angle_of_symmetry(half_angle, "eigenvalues of transport")
-        values = cap_basis(bandlimit, angle, kernel=kernel, radially_symmetric=radially_symmetric).eigenvalues
+        scaled = _check_kernel(kernel, check_bandlimit(bandlimit))
+        values = cap_basis(bandlimit, angle, kernel=scaled, radially_symmetric=radially_symmetric).eigenvalues
         return int(np.sum(values > epsilon * values[0]))
     if radially_symmetric or not isinstance(half_angle, Region):
         angle = _angle_of_symmetry(half_angle)
@@ -245,8 +246,17 @@ def _extent(half_angle: float | Region) -> _Extent:
 
 def _degrees_above(bandlimit: int, epsilon: float, kernel: ArrayLike | None) -> NDArray[np.int64]:
     """Degrees whose power is above ε of the largest; all of them without a kernel."""
-    power = np.ones(bandlimit + 1) if kernel is None else check_zonal(kernel, bandlimit) ** 2
-    return np.flatnonzero(power > epsilon * power.max())
+    power = np.ones(bandlimit + 1) if kernel is None else _check_kernel(kernel, bandlimit) ** 2
+    return np.flatnonzero(power > epsilon)
+
+
+def _check_kernel(kernel: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
+    """Zonal coefficients relative to the largest, so that no scale of theirs leaves float64 when squared."""
+    zonal = check_zonal(kernel, bandlimit)
+    largest = np.abs(zonal).max()
+    if largest == 0.0:
+        raise UserError("kernel must have a coefficient that is not zero, or it transports nothing to count")
+    return zonal / largest
 
 
 def _angle_of_symmetry(half_angle: float | Region, what: str = "radially symmetric functions") -> float:

@@ -147,7 +147,8 @@ def test_refined_number_stays_at_the_maximum_of_its_second_term():
     for epsilon in (at, 1e-8, 1e-30, 1e-320):
         # Half a step from a maximum of curvature below .1.
         assert refined_shannon_number(bandlimit, half_angle, epsilon) == pytest.approx(best, abs=1e-6)
-    assert second.argmax() < 20000 and second[-1] < 0.9 * second.max()  # else nothing was tested
+    assert second.argmax() < 20000
+    assert second[-1] < 0.9 * second.max()
 
 
 def test_refined_number_of_regions_too_thin_for_it():
@@ -199,6 +200,19 @@ def test_refined_number_of_a_kernel_is_that_of_its_band():
         errors.append([abs(number / count - 1) for number in numbers])
     refined, szego = np.mean(errors, axis=0)
     assert refined < 0.75 * szego
+
+
+@pytest.mark.parametrize("scale", [1e-320, 1e-200, -3.0, 1e200, 1e308])
+def test_numbers_of_a_kernel_know_no_scale(scale):
+    kernel = np.array([1.0, 1.0, 0.5, 0.25, 0.25, 0.0625])  # powers of two, exact on every scale
+    for number in (szego_number, concentration_count, refined_shannon_number):
+        for epsilon in (0.3, 0.01):
+            assert number(5, 0.8, epsilon, kernel=scale * np.ones(6)) == number(5, 0.8, epsilon, kernel=np.ones(6))
+            if scale != 1e-320:  # of which the digits are few
+                expected = number(5, 0.8, epsilon, kernel=kernel)
+                assert number(5, 0.8, epsilon, kernel=scale * kernel) == pytest.approx(expected, rel=1e-14)
+        with pytest.raises(UserError, match="kernel must have a coefficient that is not zero"):
+            number(5, 0.8, 0.1, kernel=np.zeros(6))
 
 
 def test_count_of_transport_is_relative_to_the_first():
