@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.errors import UserError, check_epsilon
+from slepian_prt.errors import check_epsilon, check_real
 from slepian_prt.sphere.quadrature import gauss_legendre
 from slepian_prt.sphere.rings import nodes_for
 
@@ -113,15 +113,8 @@ def line_number(product: float, epsilon: float) -> float:
 
 
 def _check_product(product: float) -> float:
-    try:
-        c = float(product)
-    except (TypeError, ValueError):
-        c = math.nan
-    if not 0.0 < c <= _LARGEST:
-        raise UserError(
-            f"product must be a number in (0, {_LARGEST:g}], the bandlimit times the radius, not {product!r}"
-        )
-    return c
+    interval = f"(0, {_LARGEST:g}], the bandlimit times the radius"
+    return check_real(product, "product", interval, lambda x: 0.0 < x <= _LARGEST)
 
 
 def _half_interval(c: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

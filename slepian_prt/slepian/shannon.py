@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
+from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle, check_real
 from slepian_prt.slepian.concentration import cap_basis
 from slepian_prt.slepian.kernels import check_zonal
 from slepian_prt.slepian.region_concentration import region_basis
@@ -73,8 +73,7 @@ def generalized_shannon_number(
         An argument outside its range.
     """
     bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
-    if not (math.isfinite(log_base) and log_base > 1.0):
-        raise UserError(f"log_base must be finite and above 1, not {log_base!r}")
+    log_base = check_real(log_base, "log_base", "(1, inf)", lambda x: 1.0 < x < math.inf)
     k = bandlimit + 1
     number = shannon_number(bandlimit, half_angle, radially_symmetric=radially_symmetric)
     region, boundary = 4.0 * math.pi * number, k * _extent(half_angle).boundary

@@ -14,7 +14,7 @@ def test_kernels_by_name():
     assert parse_kernel("slepian", 5) is None
     assert_exact(parse_kernel("diffuse", 5), cosine_lobe(5), because="the same call")
     assert_exact(parse_kernel("phong:64", 5), cosine_lobe(5, 64.0), because="the same call")
-    for bad in ("phong", "phong:", "phong:x", "phong:-1", "phong:nan", "ward"):
+    for bad in ("phong", "phong:", "phong:x", "phong:-1", "phong:nan", "phong:1_0", "ward", None, 3):
         with pytest.raises(UserError, match=r"kernel|exponent"):
             parse_kernel(bad, 5)
 

@@ -92,7 +92,7 @@ def test_caps_tend_to_the_disc(product):
     assert errors[-1] < 1e-3
 
 
-@pytest.mark.parametrize("product", [0.0, -1.0, 501.0, math.nan, "x", None])
+@pytest.mark.parametrize("product", [0.0, -1.0, 501.0, math.nan, "x", None, True, "1"])
 @pytest.mark.parametrize("solve", [line_concentrations, disc_concentrations, lambda c: line_number(c, 0.5)])
 def test_bad_products(solve, product):
     with pytest.raises(UserError, match=r"product must be a number in \(0, 500\], the bandlimit times the radius, not"):

@@ -303,8 +303,14 @@ def test_curvature_term_is_continuous_where_its_logarithms_diverge():
     assert _curvature_term(1e-4 * 1.0001) == pytest.approx(_curvature_term(1e-4 * 0.9999), rel=1e-3)
 
 
-@pytest.mark.parametrize("epsilon", [0.0, 1.0, -0.1, float("nan"), "x"])
+@pytest.mark.parametrize("epsilon", [0.0, 1.0, -0.1, float("nan"), "x", "0.1", True, None])
 def test_bad_epsilon(epsilon):
     for number in (generalized_shannon_number, refined_shannon_number, szego_number, concentration_count):
         with pytest.raises(ValueError, match=r"epsilon must be a number in \(0, 1\)"):
             number(5, 0.3, epsilon)
+
+
+@pytest.mark.parametrize("base", [1.0, 0.5, math.nan, math.inf, "x", None, True])
+def test_bad_logarithms(base):
+    with pytest.raises(UserError, match=r"log_base must be a number in \(1, inf\), not"):
+        generalized_shannon_number(5, 0.3, 0.1, log_base=base)
