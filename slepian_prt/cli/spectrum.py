@@ -63,10 +63,7 @@ def spectrum(
     _print_numbers(result)
     if check:
         _print_identity(rows)
-        content["error_identity"] = [
-            {"terms": x.terms, "quadrature": x.quadrature, "identity": x.identity, "difference": x.difference}
-            for x in rows
-        ]
+        content["error_identity"] = [_identity_row(x) for x in rows]
     if json_file is not None:
         with files.atomic_output(json_file) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
@@ -107,6 +104,12 @@ def _measure_identity(result: Spectrum) -> list[IdentityRow]:
         kernel=spectra.parse_kernel(result.kernel, result.bandlimit),
         radially_symmetric=result.radially_symmetric,
     )
+
+
+def _identity_row(row: IdentityRow) -> dict[str, float | None]:
+    """For JSON, which has no word for infinity."""
+    difference = row.difference if math.isfinite(row.difference) else None
+    return {"terms": row.terms, "quadrature": row.quadrature, "identity": row.identity, "difference": difference}
 
 
 def _print_identity(rows: list[IdentityRow]) -> None:
