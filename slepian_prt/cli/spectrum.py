@@ -55,6 +55,8 @@ def spectrum(
     for path in (json_file, plot_file):
         if path is not None:
             files.check_writable(path)
+    if json_file is not None and plot_file is not None and Path(json_file).resolve() == Path(plot_file).resolve():
+        raise UserError(f"{json_file}: `json` and `plot` must be two files")
     if plot_file is not None and Path(plot_file).suffix.lower() != ".png":
         raise UserError(f"{plot_file}: plots are written as .png")
     result = spectra.spectrum(bandlimit, math.radians(half_angle), kernel, epsilon, radially_symmetric=radial)
@@ -87,7 +89,7 @@ def _print_numbers(result: Spectrum) -> None:
         f"effective dimension {result.effective_dimension} of {result.dimension}, coherence {result.coherence:.2f}"
     )
     for name, text in _NAMES:
-        if name in result.numbers:
+        if name in result.numbers and not (name == "szego" and result.kernel == "slepian"):  # where it is N
             click.echo(f"{result.numbers[name]:10.2f}  {text}")
     click.echo(f"first eigenvalues{'' if result.kernel == 'slepian' else ', relative to the first'} (order m):")
     for value, order in zip(result.eigenvalues[:_SHOWN], result.orders[:_SHOWN], strict=True):
