@@ -56,8 +56,8 @@ def generalized_shannon_number(
 
     C = (L+1)² A(U), B = lg((L+1)² |∂U|²)/lg(2π) with |∂U| the length of the boundary; radially symmetric signals have
     C = 4(L+1)Θ. The paper does not fix the base of the outer logarithms; with 10 the number is close to the exact count
-    of concentrations above ε, with e it is up to several times too large. For radially symmetric signals it is far too
-    large with either, unless ε = ½: see `refined_shannon_number`. The second term is dropped where one of its
+    of concentrations above ε, with e it is up to several times too large. For radially symmetric signals it is mostly
+    far too large with either, unless ε = ½: see `refined_shannon_number`. The second term is dropped where one of its
     logarithms is negative (C < 1 or (L+1)|∂U| < 1: regions too small for the asymptotics), and the whole clipped to
     [0, the dimension of the space].
 
