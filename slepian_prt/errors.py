@@ -59,13 +59,28 @@ def check_bandlimit(bandlimit: Any, name: str = "bandlimit", largest: int = 1000
 
 
 def check_half_angle(half_angle: Any, name: str = "half_angle") -> float:
-    """Return ``half_angle`` as a float; raise ValueError unless it lies in [0, π]."""
-    return _check_real(half_angle, name, "[0, pi]", lambda x: 0.0 <= x <= math.pi)
+    """Return ``half_angle`` as a float; raise ValueError unless it lies in [0, π], to rounding of its own type."""
+    eps = {2: 2.0**-10, 4: 2.0**-23}.get(getattr(getattr(half_angle, "dtype", None), "itemsize", 8), 0.0)
+    number = check_real(half_angle, name, "[0, pi]", lambda x: 0.0 <= x <= math.pi * (1.0 + eps))
+    return min(number, math.pi)
 
 
 def check_epsilon(epsilon: Any, name: str = "epsilon") -> float:
     """Return ``epsilon`` as a float; raise ValueError unless it lies in the open interval (0, 1)."""
-    return _check_real(epsilon, name, "(0, 1)", lambda x: 0.0 < x < 1.0)
+    return check_real(epsilon, name, "(0, 1)", lambda x: 0.0 < x < 1.0)
+
+
+def check_real(value: Any, name: str, interval: str, inside: Callable[[float], bool]) -> float:
+    """Return ``value`` as a float; raise UserError unless it is a number (neither a bool nor text) and ``inside``."""
+    number = math.nan
+    try:
+        if not isinstance(value, bool | str | bytes) and getattr(getattr(value, "dtype", None), "kind", "f") != "b":
+            number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    if not inside(number):
+        raise UserError(f"{name} must be a number in {interval}, not {value!r}")
+    return number
 
 
 def check_choice(value: Any, name: str, choices: Iterable[str]) -> None:
@@ -75,13 +90,3 @@ def check_choice(value: Any, name: str, choices: Iterable[str]) -> None:
         near = difflib.get_close_matches(value.lower(), choices, n=1) if isinstance(value, str) else []
         meant = f"; did you mean {near[0]}?" if near else ""
         raise UserError(f"{name} must be one of {', '.join(choices)}, not {value!r}{meant}")
-
-
-def _check_real(value: Any, name: str, interval: str, inside: Callable[[float], bool]) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise UserError(f"{name} must be a number in {interval}, not {value!r}") from None
-    if not inside(number):
-        raise UserError(f"{name} must be a number in {interval}, not {value!r}")
-    return number

@@ -55,6 +55,8 @@ def spectrum(
     for path in (json_file, plot_file):
         if path is not None:
             files.check_writable(path)
+    if json_file is not None and plot_file is not None and Path(json_file).resolve() == Path(plot_file).resolve():
+        raise UserError(f"{json_file}: `json` and `plot` must be two files")
     if plot_file is not None and Path(plot_file).suffix.lower() != ".png":
         raise UserError(f"{plot_file}: plots are written as .png")
     result = spectra.spectrum(bandlimit, math.radians(half_angle), kernel, epsilon, radially_symmetric=radial)
@@ -63,10 +65,7 @@ def spectrum(
     _print_numbers(result)
     if check:
         _print_identity(rows)
-        content["error_identity"] = [
-            {"terms": x.terms, "quadrature": x.quadrature, "identity": x.identity, "difference": x.difference}
-            for x in rows
-        ]
+        content["error_identity"] = [_identity_row(x) for x in rows]
     if json_file is not None:
         with files.atomic_output(json_file) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
@@ -90,7 +89,7 @@ def _print_numbers(result: Spectrum) -> None:
         f"effective dimension {result.effective_dimension} of {result.dimension}, coherence {result.coherence:.2f}"
     )
     for name, text in _NAMES:
-        if name in result.numbers:
+        if name in result.numbers and not (name == "szego" and result.kernel == "slepian"):  # where it is N
             click.echo(f"{result.numbers[name]:10.2f}  {text}")
     click.echo(f"first eigenvalues{'' if result.kernel == 'slepian' else ', relative to the first'} (order m):")
     for value, order in zip(result.eigenvalues[:_SHOWN], result.orders[:_SHOWN], strict=True):
@@ -107,6 +106,12 @@ def _measure_identity(result: Spectrum) -> list[IdentityRow]:
         kernel=spectra.parse_kernel(result.kernel, result.bandlimit),
         radially_symmetric=result.radially_symmetric,
     )
+
+
+def _identity_row(row: IdentityRow) -> dict[str, float | None]:
+    """For JSON, which has no word for infinity."""
+    difference = row.difference if math.isfinite(row.difference) else None
+    return {"terms": row.terms, "quadrature": row.quadrature, "identity": row.identity, "difference": difference}
 
 
 def _print_identity(rows: list[IdentityRow]) -> None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_bandlimit, check_half_angle
+from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer
 from slepian_prt.slepian.concentration import CapBasis, cap_basis
 from slepian_prt.slepian.kernels import check_zonal
 from slepian_prt.sphere.caps import cap_area
-from slepian_prt.sphere.harmonics import degrees, real_sh
+from slepian_prt.sphere.harmonics import degrees, num_coefficients, real_sh
 from slepian_prt.sphere.regions import cap_region
 
 # All functions are held at once: 54 MB at this bandlimit, 0.8 GB at twice that.
@@ -43,8 +44,10 @@ class IdentityRow:
 
     @property
     def difference(self) -> float:
-        """Of the two, relative to the second; 0 where both are zero."""
-        return abs(self.quadrature - self.identity) / self.identity if self.identity > 0.0 else self.quadrature
+        """Of the two, relative to the second; 0 where both are zero, infinite where the second alone is."""
+        if self.quadrature == self.identity:
+            return 0.0
+        return abs(self.quadrature - self.identity) / self.identity if self.identity > 0.0 else math.inf
 
 
 def measure_identity(
@@ -63,6 +66,9 @@ def measure_identity(
     projected on the first K functions v_i of transport over the cap: ‖B − B̃‖²_U = |U| Σ_{i>K} (e·v_i)² λ_i. The
     functions are solved for order by order in the cap's frame; the rule is that of a region, about an axis askew.
 
+    What differs is rounding of the values at the nodes, which cancel on small caps: relative differences are below
+    5e-13 √(E₀/E_K), with E_K the error of K functions.
+
     Parameters
     ----------
     bandlimit : int
@@ -70,15 +76,17 @@ def measure_identity(
     half_angle : float
         Radians, above 0.
     terms : sequence of K
+        One or more, each from 0 to the number of functions.
     kernel : (L+1,) zonal coefficients, optional
     radially_symmetric : bool
         Signals symmetric about the cap's axis, and functions of order 0 alone (the paper's Eq. 9).
     seed : int
+        Not negative.
 
     Raises
     ------
     UserError
-        A bandlimit above 50; a cap of no area.
+        A bandlimit above 50; a cap of no area; terms or a seed outside their range.
     """
     bandlimit, half_angle = check_bandlimit(bandlimit), check_half_angle(half_angle)
     if bandlimit > LARGEST_BANDLIMIT:
@@ -88,6 +96,7 @@ def measure_identity(
         )
     if half_angle == 0.0:
         raise UserError("half_angle must be above 0 for the error to be checked: a cap of no area has none")
+    terms, seed = _check_terms(terms, bandlimit, radially_symmetric), check_integer(seed, "seed", 0)
     zonal = np.ones(bandlimit + 1) if kernel is None else check_zonal(kernel, bandlimit)
     basis = cap_basis(bandlimit, half_angle, _CENTER, kernel, radially_symmetric=radially_symmetric)
     # All functions are an orthonormal basis, so the signal's coefficients in harmonics are as random as these.
@@ -100,6 +109,15 @@ def measure_identity(
         IdentityRow(k, float(error), scale * float(np.sum(amplitudes[k:] ** 2 * basis.eigenvalues[k:])))
         for k, error in zip(terms, measured, strict=True)
     ]
+
+
+def _check_terms(terms: Sequence[int], bandlimit: int, radially_symmetric: bool) -> list[int]:
+    if isinstance(terms, np.ndarray):
+        terms = terms.tolist()
+    if not isinstance(terms, Sequence) or isinstance(terms, str) or not terms:
+        raise UserError(f"terms must be a list of numbers of functions, as [0, 4, 9], not {terms!r}")
+    largest = bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit)
+    return [check_integer(k, f"terms[{i}]", 0, largest) for i, k in enumerate(terms)]
 
 
 def _squared_errors(

@@ -96,6 +96,8 @@ def parse_kernel(kernel: str, bandlimit: int) -> NDArray[np.float64] | None:
     UserError
         Another name, or an exponent that is not a positive number.
     """
+    if not isinstance(kernel, str):
+        raise UserError(f"kernel must be slepian, diffuse or phong:EXPONENT, not {kernel!r}")
     if kernel == "slepian":
         return None
     if kernel == "diffuse":
@@ -103,7 +105,8 @@ def parse_kernel(kernel: str, bandlimit: int) -> NDArray[np.float64] | None:
     name, _, exponent = kernel.partition(":")
     try:
         if name == "phong":
-            return cosine_lobe(bandlimit, float(exponent))
+            # Python's float takes 1_0 for 10.
+            return cosine_lobe(bandlimit, math.nan if "_" in exponent else float(exponent))
     except ValueError:
         raise UserError(f"kernel phong needs a positive exponent, as in phong:128, not {exponent!r}") from None
     raise UserError(f"kernel must be slepian, diffuse or phong:EXPONENT, not {kernel!r}")

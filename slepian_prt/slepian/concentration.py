@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer
+from slepian_prt.errors import UserError, check_bandlimit, check_half_angle, check_integer, check_real
 from slepian_prt.slepian.kernels import SecondMoment, check_zonal
 from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients
@@ -148,8 +148,8 @@ def cap_basis(
     bandlimit = check_bandlimit(bandlimit)
     half_angle = check_half_angle(half_angle)
     axis = check_directions(center, "center")[0]
-    if threshold is not None and not threshold >= 0.0:
-        raise UserError(f"threshold must be >= 0, not {threshold!r}")
+    if threshold is not None:
+        threshold = check_real(threshold, "threshold", "[0, inf]", lambda x: x >= 0.0)
     last_order = 0 if radially_symmetric else bandlimit
     if terms is not None:
         terms = check_integer(terms, "terms", 1, bandlimit + 1 if radially_symmetric else num_coefficients(bandlimit))

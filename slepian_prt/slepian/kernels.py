@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_bandlimit
+from slepian_prt.errors import UserError, check_bandlimit, check_real
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
 from slepian_prt.summary import summary_line
@@ -32,8 +32,7 @@ def cosine_lobe(bandlimit: int, exponent: float = 1.0) -> NDArray[np.float64]:
         A bad bandlimit, or an exponent that is not positive and finite.
     """
     bandlimit = check_bandlimit(bandlimit)
-    if not (math.isfinite(exponent) and exponent > 0.0):
-        raise UserError(f"exponent must be positive and finite, not {exponent!r}")
+    exponent = check_real(exponent, "exponent", "(0, inf)", lambda x: 0.0 < x < math.inf)
     t = np.empty(bandlimit + 1)
     for l in range(bandlimit + 1):
         if l == 0:

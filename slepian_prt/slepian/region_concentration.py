@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.errors import UserError, check_bandlimit
+from slepian_prt.errors import UserError, check_bandlimit, check_real
 from slepian_prt.slepian.concentration import summarise_functions
 from slepian_prt.sphere.harmonics import num_coefficients, real_sh
 from slepian_prt.sphere.regions import Region
@@ -55,9 +55,11 @@ def region_basis(bandlimit: int, region: Region, *, threshold: float | None = No
     Raises
     ------
     UserError
-        A bad bandlimit; a region of no area.
+        A bad bandlimit or threshold; a region of no area.
     """
     bandlimit = check_bandlimit(bandlimit)
+    if threshold is not None:
+        threshold = check_real(threshold, "threshold", "[0, inf]", lambda x: x >= 0.0)
     inside = _folded_samples(bandlimit, region)
     if not inside.any():
         raise UserError("region must have an area above zero, not 0")

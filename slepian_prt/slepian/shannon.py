@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle
+from slepian_prt.errors import UserError, check_bandlimit, check_epsilon, check_half_angle, check_real
 from slepian_prt.slepian.concentration import cap_basis
 from slepian_prt.slepian.kernels import check_zonal
 from slepian_prt.slepian.region_concentration import region_basis
@@ -56,8 +56,8 @@ def generalized_shannon_number(
 
     C = (L+1)² A(U), B = lg((L+1)² |∂U|²)/lg(2π) with |∂U| the length of the boundary; radially symmetric signals have
     C = 4(L+1)Θ. The paper does not fix the base of the outer logarithms; with 10 the number is close to the exact count
-    of concentrations above ε, with e it is up to several times too large. For radially symmetric signals it is far too
-    large with either, unless ε = ½: see `refined_shannon_number`. The second term is dropped where one of its
+    of concentrations above ε, with e it is up to several times too large. For radially symmetric signals it is mostly
+    far too large with either, unless ε = ½: see `refined_shannon_number`. The second term is dropped where one of its
     logarithms is negative (C < 1 or (L+1)|∂U| < 1: regions too small for the asymptotics), and the whole clipped to
     [0, the dimension of the space].
 
@@ -73,14 +73,13 @@ def generalized_shannon_number(
         An argument outside its range.
     """
     bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
-    if not (math.isfinite(log_base) and log_base > 1.0):
-        raise UserError(f"log_base must be finite and above 1, not {log_base!r}")
+    log_base = check_real(log_base, "log_base", "(1, inf)", lambda x: 1.0 < x < math.inf)
     k = bandlimit + 1
     number = shannon_number(bandlimit, half_angle, radially_symmetric=radially_symmetric)
     region, boundary = 4.0 * math.pi * number, k * _extent(half_angle).boundary
     if region > 1.0 and boundary > 1.0:
         b = 2.0 * math.log(boundary) / math.log(2.0 * math.pi)
-        number += math.log((1.0 - epsilon) / epsilon, log_base) * b * math.log(region, log_base)
+        number += _log_odds(epsilon) / math.log(log_base) * b * math.log(region, log_base)
     return min(max(number, 0.0), float(k if radially_symmetric else k * k))
 
 
@@ -101,6 +100,11 @@ def refined_shannon_number(
     g = 1 - ln|cos Θ| - artanh(sin Θ)/sin Θ, and g = 1 - ln 2 at 90°. Any other region has |∂U|/2π for the first sin Θ,
     2A(1 - A/4π)/|∂U| for the second, and g of the cap of its area: the same numbers where it is a cap.
 
+    The second term is largest where ℓ is about 2π times the argument of its logarithm, and falls beyond, as no count
+    does: there it stays at its maximum, which is 0 where that argument is below e^(ψ(½)) = .14. So N_ref never falls as
+    ε does, and is at least N for ε < ½. On regions so small or thin that it no longer grows it is too low, and nothing
+    but N on the smallest ones; see docs/shannon.md.
+
     Radially symmetric functions of a cap are those of one order, m = 0, a problem on the interval [0, Θ] with one end
     in angle and one in degree. Each such pair gives half of the logarithmic term of the line, which has two ends
     (Landau & Widom 1980):
@@ -108,7 +112,8 @@ def refined_shannon_number(
         N_ref = K Θ/π + (1/2π²) [ℓ ln(4 K sin Θ) - φ] + 3 (ℓ²/π² - 1)/(16π K tan Θ).
 
     The argument 4 K sin Θ and the last term, of the next order and kept within ±½, were found from exact spectra up to
-    L = 400. From K sin Θ = 2 on, the i-th eigenvalue λ has N_ref(λ) = i - ½ to .01 where λ and 1 - λ are above 1e-4.
+    L = 400. The i-th eigenvalue λ has N_ref(λ) = i - ½ where λ and 1 - λ are above 1e-4: to .035 from K sin Θ = 2 on,
+    and to .01 from 6 on. The last term makes N_ref(½) differ from N by 3/(16π K tan Θ).
 
     Parameters
     ----------
@@ -126,18 +131,14 @@ def refined_shannon_number(
     bandlimit, epsilon = check_bandlimit(bandlimit), check_epsilon(epsilon)
     bandlimit = int(_degrees_above(bandlimit, epsilon, kernel).max(initial=0))
     number = shannon_number(bandlimit, half_angle, radially_symmetric=radially_symmetric)
-    k, extent, ratio = bandlimit + 1, _extent(half_angle), math.log((1.0 - epsilon) / epsilon)
+    k, extent, ratio = bandlimit + 1, _extent(half_angle), _log_odds(epsilon)
     if extent.boundary > 0.0:
-        from scipy.special import loggamma  # takes an eighth of a second to import
-
-        phase = 2.0 * math.pi * float(loggamma(complex(0.5, ratio / (2.0 * math.pi))).imag)
         if radially_symmetric:
-            next_order = 3.0 * ((ratio / math.pi) ** 2 - 1.0) / (16.0 * math.pi * k * math.tan(extent.cap_angle))
-            number += (ratio * math.log(4.0 * k * extent.width) - phase) / (2.0 * math.pi**2)
-            number += min(max(next_order, -0.5), 0.5)
+            next_order = 3.0 / (16.0 * math.pi * k * math.tan(extent.cap_angle))
+            number += _second_term(ratio, 0.5 / math.pi**2, math.log(4.0 * k * extent.width), next_order)
         else:
-            c = 32.0 * math.exp(-3.0 + _curvature_term(extent.cap_angle)) * k * extent.width
-            number += k * extent.boundary / (2.0 * math.pi**3) * (ratio * math.log(c) - phase)
+            argument = math.log(32.0 * k * extent.width) - 3.0 + _curvature_term(extent.cap_angle)
+            number += _second_term(ratio, k * extent.boundary / (2.0 * math.pi**3), argument)
     return min(max(number, 0.0), float(k if radially_symmetric else k * k))
 
 
@@ -167,7 +168,7 @@ def szego_number(
     bandlimit, half_angle, radially_symmetric : as in `shannon_number`
     epsilon : float in (0, 1)
     kernel : (L+1,) zonal coefficients, optional
-        As `cosine_lobe` gives them; by default all are equal.
+        As `cosine_lobe` gives them, on any scale; by default all are equal.
 
     Raises
     ------
@@ -208,7 +209,8 @@ def concentration_count(
     epsilon = check_epsilon(epsilon)
     if kernel is not None:
         angle = _angle_of_symmetry(half_angle, "eigenvalues of transport")
-        values = cap_basis(bandlimit, angle, kernel=kernel, radially_symmetric=radially_symmetric).eigenvalues
+        scaled = _check_kernel(kernel, check_bandlimit(bandlimit))
+        values = cap_basis(bandlimit, angle, kernel=scaled, radially_symmetric=radially_symmetric).eigenvalues
         return int(np.sum(values > epsilon * values[0]))
     if radially_symmetric or not isinstance(half_angle, Region):
         angle = _angle_of_symmetry(half_angle)
@@ -243,8 +245,17 @@ def _extent(half_angle: float | Region) -> _Extent:
 
 def _degrees_above(bandlimit: int, epsilon: float, kernel: ArrayLike | None) -> NDArray[np.int64]:
     """Degrees whose power is above ε of the largest; all of them without a kernel."""
-    power = np.ones(bandlimit + 1) if kernel is None else check_zonal(kernel, bandlimit) ** 2
-    return np.flatnonzero(power > epsilon * power.max())
+    power = np.ones(bandlimit + 1) if kernel is None else _check_kernel(kernel, bandlimit) ** 2
+    return np.flatnonzero(power > epsilon)
+
+
+def _check_kernel(kernel: ArrayLike, bandlimit: int) -> NDArray[np.float64]:
+    """Zonal coefficients relative to the largest, so that no scale of theirs leaves float64 when squared."""
+    zonal = check_zonal(kernel, bandlimit)
+    largest = np.abs(zonal).max()
+    if largest == 0.0:
+        raise UserError("kernel must have a coefficient that is not zero, or it transports nothing to count")
+    return zonal / largest
 
 
 def _angle_of_symmetry(half_angle: float | Region, what: str = "radially symmetric functions") -> float:
@@ -252,6 +263,45 @@ def _angle_of_symmetry(half_angle: float | Region, what: str = "radially symmetr
     if isinstance(half_angle, Region):
         raise UserError(f"{what} are those of a cap: give its half_angle in radians, not a region")
     return check_half_angle(half_angle)
+
+
+def _log_odds(epsilon: float) -> float:
+    """ℓ = ln((1-ε)/ε), whose quotient overflows below 1e-308."""
+    return math.log1p(-epsilon) - math.log(epsilon)
+
+
+def _second_term(ratio: float, weight: float, argument: float, next_order: float = 0.0) -> float:
+    """w [ℓ a - φ(ℓ)] + q (ℓ²/π² - 1), the last within ±½, as far from ℓ = 0 as it grows with ℓ; 0 if nowhere.
+
+    φ' = Re ψ(½ + iℓ/2π) grows without end as |ℓ| does.
+
+    Parameters
+    ----------
+    ratio : float
+        ℓ.
+    weight, argument, next_order : float
+        w > 0, the logarithm a, and q.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import digamma, loggamma  # takes an eighth of a second to import
+
+    if argument <= float(digamma(0.5)):
+        return 0.0
+    # Of the complement, with 1 - ε for ε, the sum is the same but for its sign; so ℓ >= 0 is enough.
+    sign, distance = math.copysign(1.0, ratio), abs(ratio)
+    q = sign * next_order
+
+    def slope(x: float) -> float:
+        return (
+            weight * (argument - float(digamma(complex(0.5, x / (2.0 * math.pi))).real))
+            + 2.0 * min(q, 0.0) * x / math.pi**2
+        )
+
+    # A next order that falls takes the sum along; one that grows to ½ does so by itself.
+    grown = distance if slope(distance) >= 0.0 else float(brentq(slope, 0.0, distance))
+    phase = 2.0 * math.pi * float(loggamma(complex(0.5, grown / (2.0 * math.pi))).imag)
+    squared = (distance if q > 0.0 else grown) ** 2 / math.pi**2
+    return sign * (weight * (grown * argument - phase) + min(max(q * (squared - 1.0), -0.5), 0.5))
 
 
 def _curvature_term(half_angle: float) -> float:

@@ -22,8 +22,8 @@ from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import legendre_polynomials, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
 
-# Directions are below the horizon from here on: rotated ones on it are off by rounding.
-_HORIZON = -8.0 * float(np.finfo(np.float64).eps)
+# Directions are below the horizon from so many roundings of their own precision on: rotated ones on it are off by some.
+_ROUNDINGS = 8.0
 
 # Places of the six functions of the H-basis among all nine polynomials up to degree 2, in their published order.
 _SIX = (0, 1, 2, 3, 4, 8)
@@ -146,9 +146,11 @@ def sh_over_hemisphere(bandlimit: int, hemispherical_bandlimit: int) -> NDArray[
 
 
 def _check_upper(directions: ArrayLike) -> NDArray[np.float64]:
-    """Unit vectors (n, 3) with z >= 0; UserError on the first that is below the horizon by more than rounding."""
+    """Unit vectors (n, 3) with z >= 0; UserError on the first below the horizon by more than its own rounding."""
     unit = check_directions(directions)
-    below = unit[:, 2] < _HORIZON
+    given = np.asarray(directions).dtype
+    precision = given if given.kind == "f" else np.float64
+    below = unit[:, 2] < -_ROUNDINGS * float(np.finfo(precision).eps)
     if below.any():
         first = int(np.argmax(below))
         raise UserError(

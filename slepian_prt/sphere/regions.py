@@ -212,7 +212,7 @@ def mask_region(mask: ArrayLike) -> MaskRegion:
 
 
 def region_area(region: Region) -> float:
-    """Area in steradians, to rounding of what the boundary encloses.
+    """Area in steradians: of a cap to its last digits, however small; else as of a boundary up to 1e-14 radians off.
 
     Parameters
     ----------

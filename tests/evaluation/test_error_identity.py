@@ -1,6 +1,7 @@
 """The paper's error identity: both sides agree, and each with an independent sum."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -27,6 +28,16 @@ def test_both_sides_agree(kernel, radial, half_angle):
         assert row.quadrature == pytest.approx(row.identity, rel=1e-12, abs=rounding)
 
 
+@pytest.mark.parametrize("radial", [False, True])
+@pytest.mark.parametrize(("bandlimit", "degrees"), [(5, 1e-5), (5, 1e-3), (10, 0.1), (20, 1.0)])
+def test_how_far_small_caps_differ(bandlimit, degrees, radial):
+    # The docstring's bound, which the guide repeats.
+    first, *others = measure_identity(bandlimit, math.radians(degrees), [0, 1, 2], radially_symmetric=radial)
+    assert first.difference < 5e-13
+    for row in others:
+        assert row.difference < 5e-13 * math.sqrt(first.identity / row.identity)
+
+
 def test_error_of_nothing_is_the_signals_energy():
     # K = 0 over nearly the whole sphere: Σ b², which is a sum of M squared normal numbers.
     (row,) = measure_identity(8, math.pi, [0])
@@ -51,6 +62,7 @@ def test_signals_differ_by_their_seed():
 def test_difference_without_an_error():
     assert IdentityRow(3, 0.0, 0.0).difference == 0.0
     assert IdentityRow(3, 1.1, 1.0).difference == pytest.approx(0.1)
+    assert IdentityRow(3, 1e-30, 0.0).difference == math.inf  # relative to nothing
 
 
 def test_what_cannot_be_checked():
@@ -58,5 +70,16 @@ def test_what_cannot_be_checked():
         measure_identity(4, 0.0, [0])
     with pytest.raises(UserError, match=r"bandlimit must be at most 50 for the error to be checked, .*, not 51"):
         measure_identity(51, 0.5, [0])
+    for terms in ([], 3, 1.5, "12", None, np.zeros(0), np.array(3)):
+        with pytest.raises(UserError, match="terms must be a list of numbers of functions"):
+            measure_identity(4, 0.5, terms)
+    for bad in (-1, 26, 1.5, True, "1", [1]):
+        with pytest.raises(UserError, match=rf"terms\[1\] must be an integer in \[0, 25\], not {re.escape(repr(bad))}"):
+            measure_identity(4, 0.5, [0, bad])
+    with pytest.raises(UserError, match=r"terms\[0\] must be an integer in \[0, 5\], not 6"):
+        measure_identity(4, 0.5, np.array([6]), radially_symmetric=True)
+    for seed in (-1, 0.5, None):
+        with pytest.raises(UserError, match="seed must be a non-negative integer"):
+            measure_identity(4, 0.5, [0], seed=seed)
     with pytest.raises(UserError, match="kernel must hold 5"):
         measure_identity(4, 0.5, [0], kernel=cosine_lobe(3))

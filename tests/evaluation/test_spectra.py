@@ -4,7 +4,9 @@ import math
 import pytest
 
 from slepian_prt.cli import main
+from slepian_prt.cli.spectrum import _identity_row
 from slepian_prt.errors import UserError
+from slepian_prt.evaluation.error_identity import IdentityRow
 from slepian_prt.evaluation.spectra import parse_kernel, spectrum, terms_to_check
 from slepian_prt.slepian.kernels import cosine_lobe
 from tests.numerics import assert_exact
@@ -14,7 +16,7 @@ def test_kernels_by_name():
     assert parse_kernel("slepian", 5) is None
     assert_exact(parse_kernel("diffuse", 5), cosine_lobe(5), because="the same call")
     assert_exact(parse_kernel("phong:64", 5), cosine_lobe(5, 64.0), because="the same call")
-    for bad in ("phong", "phong:", "phong:x", "phong:-1", "phong:nan", "ward"):
+    for bad in ("phong", "phong:", "phong:x", "phong:-1", "phong:nan", "phong:1_0", "ward", None, 3):
         with pytest.raises(UserError, match=r"kernel|exponent"):
             parse_kernel(bad, 5)
 
@@ -67,6 +69,30 @@ def test_command_writes_what_it_prints(tmp_path, capsys):
     assert (tmp_path / "s.png").read_bytes()[:4] == b"\x89PNG"
 
 
+def test_szegos_number_is_told_of_a_kernel_alone(tmp_path, capsys):
+    # Without one it is N once more.
+    path = tmp_path / "s.json"
+    for kernel, lines in (("slepian", 0), ("diffuse", 1)):
+        arguments = ["spectrum", "--bandlimit", "4", "--half-angle", "30", "--kernel", kernel, "--json", str(path)]
+        assert main(arguments) == 0
+        assert capsys.readouterr().out.count("Szeg") == lines
+        assert json.loads(path.read_text())["szego"] > 0.0
+
+
+def test_json_of_the_smallest_epsilon(tmp_path):
+    path = tmp_path / "s.json"
+
+    def refuse(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    for radial in ([], ["--radial"]):
+        arguments = ["spectrum", "--bandlimit", "5", "--half-angle", "10", "--epsilon", "1e-320", "--json", str(path)]
+        assert main([*arguments, *radial]) == 0
+        assert json.loads(path.read_text(), parse_constant=refuse)["n_ref"] > 0.0
+    row = _identity_row(IdentityRow(3, 1e-30, 0.0))
+    assert json.dumps(row, allow_nan=False).endswith('"difference": null}')
+
+
 @pytest.mark.parametrize("kernel", ["slepian", "diffuse"])
 @pytest.mark.parametrize("radial", [False, True])
 def test_command_checks_the_error_identity(kernel, radial, tmp_path, capsys):
@@ -101,6 +127,7 @@ def test_limits_have_a_spectrum_and_a_plot(angle, radial, tmp_path):
         (["--bandlimit", "5", "--half-angle", "10", "--kernel", "ward"], "kernel must be"),
         (["--bandlimit", "5", "--half-angle", "10", "--plot", "no/such/s.png"], "does not exist"),
         (["--bandlimit", "5", "--half-angle", "10", "--plot", "s.gif"], "written as .png"),
+        (["--bandlimit", "5", "--half-angle", "10", "--plot", "s.png", "--json", "./s.png"], "must be two files"),
         (["--bandlimit", "5"], "--half-angle"),
         (["--bandlimit", "51", "--half-angle", "10", "--check"], "--bandlimit must be at most 50 for the error"),
         (["--bandlimit", "5", "--half-angle", "0", "--check"], "--half-angle must be above 0 for the error"),

@@ -111,6 +111,7 @@ def test_the_command_takes_it(tmp_path, file, capsys):
     assert "note: lighting of bandlimit 2 counts as dark in degree 3 of the transfer" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_under_it(tmp_path, file):
     """A scene with a mirror ball, whose pictures are gathered and show maps in mirrors: there are harmonics alone."""
     scene = tmp_path / "scene.xml"

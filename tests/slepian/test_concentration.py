@@ -7,12 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import jv
 
+from slepian_prt.errors import UserError
 from slepian_prt.slepian.concentration import cap_basis, cap_moment_factors
 from slepian_prt.slepian.kernels import cosine_lobe, measured_moment, zonal_moment
+from slepian_prt.slepian.region_concentration import region_basis
 from slepian_prt.slepian.shannon import shannon_number
 from slepian_prt.sphere.caps import cap_area
 from slepian_prt.sphere.harmonics import degrees, legendre_polynomials, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import cap_nodes, cap_rule
+from slepian_prt.sphere.regions import cap_region
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from tests.conftest import random_directions
 from tests.numerics import assert_exact, assert_rounded
@@ -358,6 +361,14 @@ def test_first_terms(kernel):
     assert_rounded(head.eigenvalues, full.eigenvalues[:7], terms=6 + 2 * 6, size=1.0)
 
 
-def test_bad_threshold():
-    with pytest.raises(ValueError, match="threshold"):
-        cap_basis(3, 0.5, threshold=float("nan"))
+@pytest.mark.parametrize("threshold", ["x", True, -0.1, math.nan])
+@pytest.mark.parametrize(
+    "solve",
+    [
+        lambda x: cap_basis(3, 0.5, threshold=x),
+        lambda x: region_basis(3, cap_region((0, 0, 1), 0.5), threshold=x),
+    ],
+)
+def test_bad_thresholds(solve, threshold):
+    with pytest.raises(UserError, match=r"threshold must be a number in \[0, inf\], not"):
+        solve(threshold)

@@ -3,6 +3,7 @@
 import math
 from itertools import pairwise
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.special import jv, pro_rad1
@@ -92,7 +93,41 @@ def test_caps_tend_to_the_disc(product):
     assert errors[-1] < 1e-3
 
 
-@pytest.mark.parametrize("product", [0.0, -1.0, 501.0, math.nan, "x", None])
+@pytest.mark.parametrize("product", [0.01, 1.0, 5.0, 50.0])
+def test_none_of_the_smallest_is_rounding(product):
+    # Of one order, or parity, each is far below the one before, where rounding is of one size.
+    disc = disc_concentrations(product, threshold=1e-30 * (1 + 2 * product))
+    line = line_concentrations(product)
+    series = [disc.eigenvalues[disc.orders == m] for m in range(disc.orders.max() + 1)] + [line[::2], line[1::2]]
+    for values in series:
+        small = values[values < 1e-15]
+        assert np.all(small[1:] <= 0.1 * small[:-1])
+
+
+def test_digits_of_small_concentrations_on_the_line():
+    # The errors that the docstring tells, against the same transform in 50 digits.
+    with mpmath.workdps(50):
+        nodes, weights = zip(*mpmath.calculus.quadrature.GaussLegendre(mpmath.mp).calc_nodes(4, 170), strict=True)
+        x, w = [(1 + t) / 2 for t in nodes], [t / 2 for t in weights]
+        even = mpmath.matrix(len(x))
+        for i in range(len(x)):
+            for j in range(len(x)):
+                even[i, j] = mpmath.sqrt(2 * w[i] * w[j] / mpmath.pi) * mpmath.cos(x[i] * x[j])
+        exact = sorted((float(t**2) for t in mpmath.eigsy(even, eigvals_only=True)), reverse=True)
+    found = line_concentrations(1.0)[::2]
+    for value, reference in zip(found, exact, strict=False):
+        assert value == pytest.approx(reference, rel=4e-16 + 5e-17 / math.sqrt(reference), abs=0.0)
+
+
+@pytest.mark.parametrize("epsilon", [1e-320, 1e-10, 0.01, 0.5, 0.99])
+def test_estimate_on_a_short_line_is_not_negative(epsilon):
+    for product in (1e-300, 0.01, 0.3):
+        assert line_number(product, epsilon) == pytest.approx(2.0 * product / math.pi, rel=1e-15)
+    assert line_number(0.6, 1e-320) > line_number(0.6, 0.5) == pytest.approx(1.2 / math.pi, rel=1e-15)
+    assert line_number(5.0, 1.0 - 1e-12) == 0.0
+
+
+@pytest.mark.parametrize("product", [0.0, -1.0, 501.0, math.nan, "x", None, True, "1"])
 @pytest.mark.parametrize("solve", [line_concentrations, disc_concentrations, lambda c: line_number(c, 0.5)])
 def test_bad_products(solve, product):
     with pytest.raises(UserError, match=r"product must be a number in \(0, 500\], the bandlimit times the radius, not"):
@@ -100,7 +135,8 @@ def test_bad_products(solve, product):
 
 
 def test_bad_thresholds():
-    with pytest.raises(UserError, match="threshold must be a number in"):
-        disc_concentrations(1.0, threshold=0.0)
+    for threshold in (0.0, 1e-33, 1.0, math.nan, "x", True):
+        with pytest.raises(UserError, match=r"threshold must be a number in \[1.1e-29, 1\), above rounding, not"):
+            disc_concentrations(5.0, threshold=threshold)
     with pytest.raises(UserError, match="epsilon must be a number in"):
         line_number(1.0, 1.0)

@@ -1,7 +1,9 @@
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import loggamma
 
 from slepian_prt.errors import UserError
 from slepian_prt.slepian.concentration import cap_basis
@@ -26,7 +28,7 @@ def errors():
     rows = []
     for bandlimit, degrees in GRID:
         half_angle = math.radians(degrees)
-        values = cap_basis(bandlimit, half_angle).eigenvalues
+        values = cap_basis(bandlimit, half_angle, threshold=min(EPSILONS)).eigenvalues
         for epsilon in EPSILONS:
             exact = int((values > epsilon).sum())
             if exact == 0:
@@ -65,23 +67,34 @@ def test_radially_symmetric_number():
         assert abs(number - count) <= 1
 
 
-@pytest.mark.parametrize("bandlimit", [10, 20, 100])
-@pytest.mark.parametrize("degrees", [12, 20, 40, 90, 120, 165])
-def test_refined_number_of_radially_symmetric_functions_meets_each_eigenvalue(bandlimit, degrees):
+@pytest.mark.parametrize(
+    ("bandlimit", "all_degrees"),
+    [
+        (3, range(1, 180)),
+        (5, range(1, 180)),
+        (10, range(1, 180)),
+        (60, (2, 3, 6, 90)),
+        (100, (12, 20, 120, 165, 178.3)),
+    ],
+)
+def test_refined_number_of_radially_symmetric_functions_meets_each_eigenvalue(bandlimit, all_degrees):
     # A smooth count passes i - 1/2 where it jumps from i - 1 to i: at the i-th eigenvalue.
-    half_angle = math.radians(degrees)
-    basis = cap_basis(bandlimit, half_angle, radially_symmetric=True)
     told = 0
-    for i, (value, leakage) in enumerate(zip(basis.eigenvalues, basis.leakages, strict=True)):
-        if min(value, leakage) > 1e-4:
-            number = refined_shannon_number(bandlimit, half_angle, float(value), radially_symmetric=True)
-            assert number == pytest.approx(i + 0.5, abs=0.01)
-            told += 1
-    assert told >= 2
+    for half_angle in map(math.radians, all_degrees):
+        width = (bandlimit + 1) * math.sin(half_angle)
+        if width < 2.0:
+            continue
+        basis = cap_basis(bandlimit, half_angle, radially_symmetric=True)
+        for i, (value, leakage) in enumerate(zip(basis.eigenvalues, basis.leakages, strict=True)):
+            if min(value, leakage) > 1e-4:
+                number = refined_shannon_number(bandlimit, half_angle, float(value), radially_symmetric=True)
+                assert number == pytest.approx(i + 0.5, abs=0.01 if width >= 6.0 else 0.035)
+                told += 1
+    assert told >= 10
 
 
 def test_refined_number_of_radially_symmetric_functions_rounds_to_the_count():
-    exact, generalised = [], []
+    exact, generalised, ratios = [], [], []
     for bandlimit, degrees in GRID:
         half_angle = math.radians(degrees)
         values = cap_basis(bandlimit, half_angle, radially_symmetric=True).eigenvalues
@@ -92,8 +105,16 @@ def test_refined_number_of_radially_symmetric_functions_rounds_to_the_count():
             )
             number = generalized_shannon_number(bandlimit, half_angle, epsilon, radially_symmetric=True)
             generalised.append(abs(number - count))
+            if epsilon == 0.01:
+                ratios.append(number / count)
     assert np.mean(exact) >= 0.95
-    assert np.mean(generalised) >= 7.0  # functions too many: what docs/shannon.md says of the paper's number
+    # What docs/shannon.md says of the paper's number: functions too many, and the ratio at ε = 0.01.
+    assert np.mean(generalised) >= 7.0
+    page = " ".join((Path(__file__).parents[2] / "docs" / "shannon.md").read_text(encoding="utf-8").split())
+    (low, lowest), (high, highest) = (min(zip(ratios, GRID, strict=True)), max(zip(ratios, GRID, strict=True)))
+    assert f"it is {np.median(ratios):.1f} times the count in the median of our {len(ratios)} caps" in page
+    told = [f"{x:.2g} (L = {bandlimit}, {angle}°)" for x, (bandlimit, angle) in ((low, lowest), (high, highest))]
+    assert f"The ratio is from {told[0]} to {told[1]}" in page
 
 
 @pytest.mark.parametrize(("bandlimit", "degrees", "epsilon"), [(50, 1, 1e-8), (50, 0.5, 1e-6), (20, 2, 1e-9)])
@@ -102,6 +123,54 @@ def test_refined_number_of_radially_symmetric_functions_where_the_cap_is_too_sma
     half_angle = math.radians(degrees)
     count = concentration_count(bandlimit, half_angle, epsilon, radially_symmetric=True)
     assert abs(refined_shannon_number(bandlimit, half_angle, epsilon, radially_symmetric=True) - count) < 1.0
+
+
+TINY_TO_LARGE = (1e-320, 1e-300, 1e-100, *np.logspace(-16, -1, 31), 0.3, 0.5, 0.7, *(1 - np.logspace(-1, -16, 16)))
+
+
+@pytest.mark.parametrize("bandlimit", [0, 2, 5, 20])
+@pytest.mark.parametrize("degrees", [1e-6, 0.1, 1.0, 5.0, 10.0, 30.0, 90.0, 150.0, 170.0, 179.0, 180.0 - 1e-7])
+@pytest.mark.parametrize("radial", [False, True])
+def test_refined_number_never_falls_as_epsilon_does(bandlimit, degrees, radial):
+    half_angle = math.radians(degrees)
+    numbers = [refined_shannon_number(bandlimit, half_angle, x, radially_symmetric=radial) for x in TINY_TO_LARGE]
+    size = bandlimit + 1 if radial else (bandlimit + 1) ** 2
+    assert np.all(np.diff(numbers) <= 1e-14 * size)  # and none is nan
+    if not radial:  # a radial one has a next order, which does not vanish at ½
+        shannon = shannon_number(bandlimit, half_angle)
+        below = [x < 0.5 for x in TINY_TO_LARGE]
+        assert min(x for x, small in zip(numbers, below, strict=True) if small) >= shannon
+        assert max(x for x, small in zip(numbers, below, strict=True) if not small) <= shannon * (1 + 1e-14)
+
+
+def test_refined_number_stays_at_the_maximum_of_its_second_term():
+    # L = 5, 10°: the formula as it stands, on a grid of ℓ.
+    half_angle, bandlimit = math.radians(10.0), 5
+    sine = 6 * math.sin(half_angle)
+    g = 1 - math.log(math.cos(half_angle)) - math.atanh(math.sin(half_angle)) / math.sin(half_angle)
+    ratio = np.linspace(0.0, 30.0, 30001)
+    phase = 2 * math.pi * loggamma(0.5 + 1j * ratio / (2 * math.pi)).imag
+    second = sine / math.pi**2 * (ratio * math.log(32 * math.exp(g - 3) * sine) - phase)
+    best = shannon_number(bandlimit, half_angle) + second.max()
+    at = math.exp(-ratio[second.argmax()])
+    for epsilon in (at, 1e-8, 1e-30, 1e-320):
+        # Half a step from a maximum of curvature below .1.
+        assert refined_shannon_number(bandlimit, half_angle, epsilon) == pytest.approx(best, abs=1e-6)
+    assert second.argmax() < 20000
+    assert second[-1] < 0.9 * second.max()
+
+
+def test_refined_number_of_regions_too_thin_for_it():
+    for inner in (0.99, 0.999, 0.97):
+        ring = cap_region((0, 0, 1), 1.0) - cap_region((0, 0, 1), inner)
+        assert refined_shannon_number(10, ring, 0.01) >= shannon_number(10, ring)
+        assert refined_shannon_number(10, ~ring, 0.99) <= shannon_number(10, ~ring)
+
+
+@pytest.mark.parametrize("half_angle", [math.radians(179.0), math.pi - 1e-9, math.pi - 1e-15])
+def test_refined_number_of_all_radially_symmetric_functions(half_angle):
+    assert concentration_count(5, half_angle, 0.01, radially_symmetric=True) == 6
+    assert refined_shannon_number(5, half_angle, 0.01, radially_symmetric=True) == pytest.approx(6.0, abs=0.05)
 
 
 def test_szegos_number_of_a_kernel():
@@ -142,6 +211,19 @@ def test_refined_number_of_a_kernel_is_that_of_its_band():
     assert refined < 0.75 * szego
 
 
+@pytest.mark.parametrize("scale", [1e-320, 1e-200, -3.0, 1e200, 1e308])
+def test_numbers_of_a_kernel_know_no_scale(scale):
+    kernel = np.array([1.0, 1.0, 0.5, 0.25, 0.25, 0.0625])  # powers of two, exact on every scale
+    for number in (szego_number, concentration_count, refined_shannon_number):
+        for epsilon in (0.3, 0.01):
+            assert number(5, 0.8, epsilon, kernel=scale * np.ones(6)) == number(5, 0.8, epsilon, kernel=np.ones(6))
+            if scale != 1e-320:  # of which the digits are few
+                expected = number(5, 0.8, epsilon, kernel=kernel)
+                assert number(5, 0.8, epsilon, kernel=scale * kernel) == pytest.approx(expected, rel=1e-14)
+        with pytest.raises(UserError, match="kernel must have a coefficient that is not zero"):
+            number(5, 0.8, 0.1, kernel=np.zeros(6))
+
+
 def test_count_of_transport_is_relative_to_the_first():
     kernel = cosine_lobe(6, 16.0)
     values = cap_basis(6, 0.8, kernel=kernel).eigenvalues
@@ -156,10 +238,17 @@ def test_count_of_transport_is_relative_to_the_first():
 def test_a_region_that_is_a_cap_has_the_caps_numbers(degrees):
     half_angle = math.radians(degrees)
     region = cap_region((0.3, -0.5, 0.6), half_angle)
-    assert shannon_number(9, region) == pytest.approx(shannon_number(9, half_angle), rel=1e-13)
+    assert shannon_number(5, region) == pytest.approx(shannon_number(5, half_angle), rel=1e-13)
     for epsilon in EPSILONS:
-        for number in (generalized_shannon_number, refined_shannon_number, szego_number, concentration_count):
-            assert number(9, region, epsilon) == pytest.approx(number(9, half_angle, epsilon), rel=1e-12)
+        for number in (generalized_shannon_number, refined_shannon_number, szego_number):
+            assert number(5, region, epsilon) == pytest.approx(number(5, half_angle, epsilon), rel=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [25.0, 130.0])
+def test_a_region_that_is_a_cap_has_the_caps_count(degrees):
+    half_angle = math.radians(degrees)
+    region = cap_region((0.3, -0.5, 0.6), half_angle)
+    assert concentration_count(4, region, 0.01) == concentration_count(4, half_angle, 0.01)
 
 
 def test_numbers_of_regions():
@@ -230,8 +319,14 @@ def test_curvature_term_is_continuous_where_its_logarithms_diverge():
     assert _curvature_term(1e-4 * 1.0001) == pytest.approx(_curvature_term(1e-4 * 0.9999), rel=1e-3)
 
 
-@pytest.mark.parametrize("epsilon", [0.0, 1.0, -0.1, float("nan"), "x"])
+@pytest.mark.parametrize("epsilon", [0.0, 1.0, -0.1, float("nan"), "x", "0.1", True, None])
 def test_bad_epsilon(epsilon):
     for number in (generalized_shannon_number, refined_shannon_number, szego_number, concentration_count):
         with pytest.raises(ValueError, match=r"epsilon must be a number in \(0, 1\)"):
             number(5, 0.3, epsilon)
+
+
+@pytest.mark.parametrize("base", [1.0, 0.5, math.nan, math.inf, "x", None, True])
+def test_bad_logarithms(base):
+    with pytest.raises(UserError, match=r"log_base must be a number in \(1, inf\), not"):
+        generalized_shannon_number(5, 0.3, 0.1, log_base=base)

@@ -79,10 +79,17 @@ def test_area_and_boundary_do_not_cancel():
     assert cap_boundary(math.pi) == 0.0
 
 
-@pytest.mark.parametrize("half_angle", [-1e-9, 3.2, float("nan"), "x"])
+@pytest.mark.parametrize("half_angle", [-1e-9, 3.2, np.float32(3.1416), True, np.True_, "x", "1", None, 10**400])
 def test_bad_half_angle(half_angle):
     with pytest.raises(ValueError, match=r"half_angle must be a number in \[0, pi\]"):
         cap_area(half_angle)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_a_half_angle_of_180_degrees_in_any_precision(dtype):
+    # float32 rounds π up.
+    assert cap_area(dtype(math.pi)) == pytest.approx(4 * math.pi, rel=1e-6)
+    assert cap_area(np.radians(np.array(180.0, dtype))) == pytest.approx(4 * math.pi, rel=1e-6)
 
 
 def test_no_direction():

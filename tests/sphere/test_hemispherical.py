@@ -94,6 +94,17 @@ def test_on_the_horizon_only_order_zero_is_left():
     assert np.all(np.abs(values[:, orders(12) == 0]) > 0.3)
 
 
+@pytest.mark.parametrize("evaluate", [lambda d: hemispherical_sh(3, d), lambda d: h_basis(9, d)])
+def test_the_horizon_is_as_wide_as_the_directions_are_rounded(evaluate):
+    sides = np.array([[1.0, 0.0, -3e-8], [0.6, 0.8, 0.0]])
+    on = evaluate(np.array([[1.0, 0.0, 0.0]]))
+    assert_rounded(evaluate(sides[:1].astype(np.float32)), on, 9, size=2.0)
+    with pytest.raises(UserError, match=r"directions\[0\] is below the horizon"):
+        evaluate(sides)
+    with pytest.raises(UserError, match=r"directions\[0\] is below the horizon"):
+        evaluate(np.array([1.0, 0.0, -1.1e-6], dtype=np.float32))
+
+
 def test_a_direction_turned_onto_the_horizon_counts():
     assert_rounded(hemispherical_sh(3, [1, 0, -2e-16]), hemispherical_sh(3, [1, 0, 0]), 4, size=1.0)
 

@@ -10,7 +10,7 @@ from slepian_prt.slepian.region_concentration import region_basis
 from slepian_prt.sphere.caps import cap_area
 from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.sphere.quadrature import spherical_fibonacci
-from slepian_prt.sphere.regions import cap_region, mask_region, polygon_region, region_area
+from slepian_prt.sphere.regions import cap_region, mask_region, polygon_region, region_area, region_boundary
 from tests.conftest import random_directions
 from tests.numerics import assert_exact
 
@@ -146,6 +146,15 @@ def test_areas_of_tiny_caps_keep_their_digits(rng, half_angle):
     cap = cap_region(random_directions(rng, 1)[0], half_angle)
     assert region_area(cap) == pytest.approx(cap_area(half_angle), rel=1e-14, abs=0)
     assert region_area(~cap) == pytest.approx(cap_area(math.pi - half_angle), rel=1e-14, abs=0)
+
+
+@pytest.mark.parametrize("outer", [1e-3, 0.3, 1.0, 2.5])
+@pytest.mark.parametrize("width", [1e-4, 1e-7, 1e-9])
+def test_areas_of_thin_rings(outer, width):
+    inner = outer - width
+    ring = cap_region((0.36, -0.48, 0.8), outer) - cap_region((0.36, -0.48, 0.8), inner)
+    exact = 4 * math.pi * math.sin(0.5 * (outer + inner)) * math.sin(0.5 * (outer - inner))
+    assert abs(region_area(ring) - exact) <= 1e-14 * region_boundary(ring)
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-7, 1e-3])
