@@ -12,6 +12,7 @@ from paper.counts_elsewhere import line_lines, plane_lines, region_lines
 from paper.tables import listed, prose, table
 
 import slepian_prt as sp
+from slepian_prt.slepian.shannon import count_above
 
 BANDLIMITS = (2, 5, 10, 20, 50, 100)
 DEGREES = (5, 10, 20, 30, 60, 90)
@@ -56,7 +57,7 @@ def _cap_cases() -> Iterator[tuple[float, ...]]:
                     bandlimit,
                     angle,
                     epsilon,
-                    int((concentrations > epsilon).sum()),
+                    count_above(concentrations, epsilon),
                     sp.shannon_number(bandlimit, half_angle),
                     sp.generalized_shannon_number(bandlimit, half_angle, epsilon, log_base=math.e),
                     sp.generalized_shannon_number(bandlimit, half_angle, epsilon),
@@ -176,7 +177,7 @@ def _transport_cases(exponent: float) -> Iterator[tuple[float, ...]]:
                     bandlimit,
                     angle,
                     epsilon,
-                    int((values > epsilon * values[0]).sum()),
+                    count_above(values, epsilon * values[0]),
                     sp.shannon_number(*cap),
                     sp.generalized_shannon_number(*cap, epsilon),
                     sp.refined_shannon_number(*cap, epsilon),

@@ -49,6 +49,7 @@ def spectrum(
     """Eigenvalues of the concentration problem on a cap, and the Shannon numbers that estimate their count."""
     from slepian_prt import files
     from slepian_prt.evaluation import spectra
+    from slepian_prt.evaluation.error_identity import check_size
 
     if not 0.0 <= half_angle <= 180.0:
         raise UserError(f"half_angle must be between 0 and 180 degrees, not {half_angle:g}")
@@ -59,13 +60,14 @@ def spectrum(
         raise UserError(f"{json_file}: `json` and `plot` must be two files")
     if plot_file is not None and Path(plot_file).suffix.lower() != ".png":
         raise UserError(f"{plot_file}: plots are written as .png")
+    if check:
+        check_size(bandlimit)
     result = spectra.spectrum(bandlimit, math.radians(half_angle), kernel, epsilon, radially_symmetric=radial)
     content = result.as_dict()
     rows = _measure_identity(result) if check else []
-    _print_numbers(result)
     if check:
-        _print_identity(rows)
         content["error_identity"] = [_identity_row(x) for x in rows]
+    # Files first: who reads what is printed may stop before its end.
     if json_file is not None:
         with files.atomic_output(json_file) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
@@ -73,9 +75,14 @@ def spectrum(
         picture = spectra.plot_spectrum(result)
         with files.atomic_output(plot_file) as file:
             file.write(picture)
+    _print_numbers(result)
+    if check:
+        _print_identity(rows)
 
 
 def _print_numbers(result: Spectrum) -> None:
+    from slepian_prt.slepian.concentration import SMALLEST_KNOWN
+
     functions = "radially symmetric functions" if result.radially_symmetric else "functions"
     angle = math.degrees(result.half_angle)
     click.echo(
@@ -93,7 +100,8 @@ def _print_numbers(result: Spectrum) -> None:
             click.echo(f"{result.numbers[name]:10.2f}  {text}")
     click.echo(f"first eigenvalues{'' if result.kernel == 'slepian' else ', relative to the first'} (order m):")
     for value, order in zip(result.eigenvalues[:_SHOWN], result.orders[:_SHOWN], strict=True):
-        click.echo(f"  {value:.10g}  (m = {order:+d})")
+        shown = f"{value:.10g}" if value >= SMALLEST_KNOWN else f"below {SMALLEST_KNOWN:g}"
+        click.echo(f"  {shown}  (m = {order:+d})")
 
 
 def _measure_identity(result: Spectrum) -> list[IdentityRow]:

@@ -50,6 +50,17 @@ class IdentityRow:
         return abs(self.quadrature - self.identity) / self.identity if self.identity > 0.0 else math.inf
 
 
+def check_size(bandlimit: int) -> int:
+    """A bandlimit that the error can be checked at, or raise UserError."""
+    bandlimit = check_bandlimit(bandlimit)
+    if bandlimit > LARGEST_BANDLIMIT:
+        raise UserError(
+            f"bandlimit must be at most {LARGEST_BANDLIMIT} for the error to be checked, where all functions are held "
+            f"at once, not {bandlimit}"
+        )
+    return bandlimit
+
+
 def measure_identity(
     bandlimit: int,
     half_angle: float,
@@ -88,12 +99,7 @@ def measure_identity(
     UserError
         A bandlimit above 50; a cap of no area; terms or a seed outside their range.
     """
-    bandlimit, half_angle = check_bandlimit(bandlimit), check_half_angle(half_angle)
-    if bandlimit > LARGEST_BANDLIMIT:
-        raise UserError(
-            f"bandlimit must be at most {LARGEST_BANDLIMIT} for the error to be checked, where all functions are held "
-            f"at once, not {bandlimit}"
-        )
+    bandlimit, half_angle = check_size(bandlimit), check_half_angle(half_angle)
     if half_angle == 0.0:
         raise UserError("half_angle must be above 0 for the error to be checked: a cap of no area has none")
     terms, seed = _check_terms(terms, bandlimit, radially_symmetric), check_integer(seed, "seed", 0)

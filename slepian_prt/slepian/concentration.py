@@ -23,7 +23,7 @@ from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from slepian_prt.summary import Summarised
 
 # Eigenvalues below this part of the largest are rounding; their eigenvectors are chosen by the second criterion.
-_NULL = 1e-28
+SMALLEST_KNOWN = 1e-28
 
 # Degree in θ, beyond 2LΘ, that a rule has to be exact to for products to be exact to rounding.
 _SMOOTH = 34.0
@@ -46,7 +46,8 @@ class CapBasis(Summarised):
     ranks : (K,) int
         Its column in ``blocks[abs(m)]``.
     eigenvalues : (K,)
-        Concentrations λ in [0, 1] for the plain problem, else mean energy over the cap along each function.
+        Concentrations λ in [0, 1] for the plain problem, else mean energy over the cap along each function. Below about
+        1e-28 of the first they are rounding, and need not fall.
     leakages : (K,) or None
         1 - λ, computed from the cap's complement, so that concentrations next to one keep their digits.
     """
@@ -321,7 +322,7 @@ def _right_singular(factor: NDArray, second: NDArray) -> tuple[NDArray[np.float6
     eigenvalues = np.zeros(size)
     eigenvalues[: sigma.size] = sigma[:size] ** 2
     vectors = rows.T.copy()
-    rank = int(np.sum(eigenvalues > _NULL * eigenvalues[0])) if eigenvalues[0] > 0.0 else 0
+    rank = int(np.sum(eigenvalues > SMALLEST_KNOWN * eigenvalues[0])) if eigenvalues[0] > 0.0 else 0
     eigenvalues[rank:] = 0.0
     if rank < size:
         _, _, inner = np.linalg.svd(second @ vectors[:, rank:])

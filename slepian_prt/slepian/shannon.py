@@ -211,14 +211,24 @@ def concentration_count(
         angle = _angle_of_symmetry(half_angle, "eigenvalues of transport")
         scaled = _check_kernel(kernel, check_bandlimit(bandlimit))
         values = cap_basis(bandlimit, angle, kernel=scaled, radially_symmetric=radially_symmetric).eigenvalues
-        return int(np.sum(values > epsilon * values[0]))
+        return count_above(values, epsilon * values[0])
     if radially_symmetric or not isinstance(half_angle, Region):
         angle = _angle_of_symmetry(half_angle)
-        return len(cap_basis(bandlimit, angle, threshold=epsilon, radially_symmetric=radially_symmetric))
+        return len(cap_basis(bandlimit, angle, threshold=_above(epsilon), radially_symmetric=radially_symmetric))
     if region_area(half_angle) == 0.0:
         check_bandlimit(bandlimit)
         return 0
-    return len(region_basis(bandlimit, half_angle, threshold=epsilon))
+    return len(region_basis(bandlimit, half_angle, threshold=_above(epsilon)))
+
+
+def count_above(values: NDArray, level: float) -> int:
+    """How many eigenvalues (K,) are above a level; those that are equal to it but for rounding are not."""
+    return int(np.sum(values > _above(level)))
+
+
+def _above(level: float) -> float:
+    """On the hemisphere L + 1 concentrations are exactly ½, and come out as that give or take 1e-15 to 1e-14."""
+    return level * (1.0 + 1e-12)
 
 
 # --- Regions ---------------------------------------------------------------------------------------------------------

@@ -1,11 +1,15 @@
 import json
 import math
+import os
+import subprocess
+import sys
 
 import pytest
 
 from slepian_prt.cli import main
 from slepian_prt.cli.spectrum import _identity_row
 from slepian_prt.errors import UserError
+from slepian_prt.evaluation import spectra
 from slepian_prt.evaluation.error_identity import IdentityRow
 from slepian_prt.evaluation.spectra import parse_kernel, spectrum, terms_to_check
 from slepian_prt.slepian.kernels import cosine_lobe
@@ -138,3 +142,26 @@ def test_mistakes(arguments, message, capsys):
     error = capsys.readouterr().err.strip()
     assert message in error
     assert "\n" not in error
+
+
+def test_what_cannot_be_checked_is_refused_before_anything_is_solved(monkeypatch, capsys):
+    monkeypatch.setattr(spectra, "spectrum", None)
+    assert main(["spectrum", "--bandlimit", "51", "--half-angle", "20", "--check"]) == 2
+    assert "bandlimit must be at most 50 for the error to be checked" in capsys.readouterr().err
+
+
+def test_files_are_written_though_nobody_reads_what_is_printed(tmp_path):
+    command = [sys.executable, "-m", "slepian_prt", "spectrum", "--bandlimit", "4", "--half-angle", "30", "--json"]
+    reading, writing = os.pipe()
+    os.close(reading)
+    subprocess.run([*command, str(tmp_path / "s.json")], check=False, stdout=writing, stderr=subprocess.DEVNULL)
+    os.close(writing)
+    assert len(json.loads((tmp_path / "s.json").read_text())["eigenvalues"]) == 25
+
+
+def test_eigenvalues_that_are_rounding_are_not_told(capsys):
+    """mpmath has 2.9e-36 and 4.7e-43 for the last two, which came out as 7.9e-34 and 2e-32."""
+    assert main(["spectrum", "--bandlimit", "10", "--half-angle", "20", "--radial"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2:] == 2 * ["  below 1e-28  (m = +0)"]
+    assert "e-" in lines[-3]

@@ -330,3 +330,15 @@ def test_bad_epsilon(epsilon):
 def test_bad_logarithms(base):
     with pytest.raises(UserError, match=r"log_base must be a number in \(1, inf\), not"):
         generalized_shannon_number(5, 0.3, 0.1, log_base=base)
+
+
+@pytest.mark.parametrize("bandlimit", [2, 5, 20, 50])
+def test_what_equals_epsilon_is_not_above_it(bandlimit):
+    """On the hemisphere harmonics that are even about the rim or odd have half of their energy there: L+1 λ are ½."""
+    values = cap_basis(bandlimit, 0.5 * math.pi).eigenvalues
+    assert np.sum(np.abs(values - 0.5) < 1e-12) == bandlimit + 1
+    count = concentration_count(bandlimit, 0.5 * math.pi, 0.5)
+    assert count == ((bandlimit + 1) ** 2 - (bandlimit + 1)) // 2
+    assert concentration_count(bandlimit, 0.5 * math.pi, 0.5 - 1e-9) == count + bandlimit + 1
+    one_order = concentration_count(bandlimit, 0.5 * math.pi, 0.5, radially_symmetric=True)
+    assert one_order == (bandlimit + 1) // 2
