@@ -6,6 +6,7 @@ import difflib
 import math
 import operator
 from collections.abc import Callable, Iterable
+from pathlib import PurePath
 from typing import Any
 
 
@@ -81,6 +82,14 @@ def check_real(value: Any, name: str, interval: str, inside: Callable[[float], b
     if not inside(number):
         raise UserError(f"{name} must be a number in {interval}, not {value!r}")
     return number
+
+
+def check_transfer(transfer: object) -> None:
+    """Raise UserError for the path of a transfer, or what else is none, where one is wanted."""
+    if isinstance(transfer, str | PurePath):
+        raise UserError(f"transfer must be what is in a file, not its path; give sp.load({str(transfer)!r})")
+    if not hasattr(transfer, "bandlimit"):
+        raise UserError(f"transfer must be what sp.precompute or sp.load gives, not {type(transfer).__name__}")
 
 
 def check_choice(value: Any, name: str, choices: Iterable[str]) -> None:

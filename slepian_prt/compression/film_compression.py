@@ -11,7 +11,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.prediction import by_degree
 from slepian_prt.compression.settings import DEFAULT_CLUSTERS, CompressionSettings
 from slepian_prt.compression.stream import compress
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, check_transfer
 from slepian_prt.lighting.spectrum import falling_prior
 from slepian_prt.scene.film import Film
 from slepian_prt.transport.transfer import Transfer
@@ -64,6 +64,7 @@ def compress_film(transfer: Transfer, tolerance: float | None = None) -> Compres
     UserError
         Transfer of a mesh; a tolerance that is none.
     """
+    check_transfer(transfer)
     film_of(transfer)
     if not transfer.vectors.any():  # nothing to find functions for
         return compress(transfer, "none", coding="float16")

@@ -28,6 +28,7 @@ from slepian_prt.compression.stored_mesh.stored import StoredMesh, store_mesh
 from slepian_prt.compression.stored_mesh.transfers import as_stored, stored_mesh_of
 from slepian_prt.compression.tracing import Projected, trace_and_project
 from slepian_prt.compression.tracing_by_workers import trace_by_workers
+from slepian_prt.errors import check_transfer
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.transport.by_workers.scene import by_workers
@@ -118,6 +119,7 @@ def compress(
     UserError
         An unknown name, a number outside its range, or options that exclude each other.
     """
+    check_transfer(transfer)
     settings = CompressionSettings(
         basis=basis,
         tolerance=tolerance,

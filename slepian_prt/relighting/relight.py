@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, check_transfer
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.lighting.projection import lighting_at, project_checked, rotation_matrix
@@ -65,6 +65,7 @@ def relight(
     UserError
         Lighting of no such shape, or not finite; a map that cannot be used; no light at all; a lamp that is not there.
     """
+    check_transfer(transfer)
     fixed = transfer.fixed
     scales = lamp_scales(fixed, fixed_lights)
     if lighting is None:

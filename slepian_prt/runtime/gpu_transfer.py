@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import forget
 from slepian_prt.compression.prediction import Expectation
-from slepian_prt.errors import UserError, check_integer
+from slepian_prt.errors import UserError, check_integer, check_transfer
 from slepian_prt.lighting.fitting import one_light
 from slepian_prt.lighting.spectrum import expected_power, falling_prior
 from slepian_prt.relighting.factors import all_factors
@@ -189,6 +189,7 @@ def gpu_transfer(
     ----------
     Sloan, Hall, Hart and Snyder, "Clustered Principal Components for Precomputed Radiance Transfer", SIGGRAPH 2003.
     """
+    check_transfer(transfer)
     count = check_integer(functions, "functions", 8, LARGEST_FUNCTIONS)
     if count % 8:
         raise UserError(f"functions must be a multiple of 8 from 8 to {LARGEST_FUNCTIONS}, not {count}")

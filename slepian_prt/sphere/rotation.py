@@ -64,9 +64,11 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[Any]:
     Raises
     ------
     ValueError
-        A last axis that is not a square number, or a matrix that is no rotation (beyond 1e-6).
+        Numbers that are not real; a last axis that is not a square number; a matrix that is no rotation (beyond 1e-6).
     """
     c = np.asarray(coefficients)
+    if c.dtype.kind not in "iuf":
+        raise UserError(f"coefficients must be real numbers, not {c.dtype}")
     dtype = np.dtype(np.float32 if c.dtype == np.float32 else np.float64)
     c = c.astype(dtype, copy=False)
     r = np.asarray(rotation, dtype=np.float64)

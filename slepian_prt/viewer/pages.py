@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, check_transfer
 from slepian_prt.examples import example
 from slepian_prt.files import check_writable
 from slepian_prt.lighting.environment import Environment
@@ -151,6 +151,7 @@ def save_page(
     UserError
         As `render_picture`; a name that is not that of a page; a page that would be too large.
     """
+    check_transfer(transfer)
     given = [lighting] if isinstance(lighting, str | Path | Environment) else list(lighting or ())
     check_page_name(path)
     check_writable(path, *(one for one in (*given, scene) if isinstance(one, str | Path)))

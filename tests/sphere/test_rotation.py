@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from slepian_prt.errors import UserError
 from slepian_prt.sphere.harmonics import real_sh
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
 from tests.conftest import random_directions
@@ -117,3 +118,8 @@ def test_refuses_what_is_no_rotation():
         rotate_sh(np.ones(8), np.eye(3))
     with pytest.raises(ValueError, match=r"shape \(\.\.\., 3, 3\)"):
         rotate_sh(np.ones(9), np.eye(2))
+
+
+def test_numbers_that_are_not_real():
+    with pytest.raises(UserError, match="coefficients must be real numbers, not complex128"):
+        rotate_sh(np.ones(9, dtype=complex), np.eye(3))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError, check_integer
+from slepian_prt.errors import UserError, check_integer, check_transfer
 from slepian_prt.files import check_writable
 from slepian_prt.lighting.environment import Environment, read_environment
 from slepian_prt.lighting.light_text import is_light_text
@@ -141,6 +141,7 @@ def _draw(
     fixed_lights: float | Mapping[str, float],
 ) -> tuple[Picture, float]:
     """A picture with the map behind it if it is to be seen, and the exposure that suits the model."""
+    check_transfer(transfer)
     if taking.width is not None:
         taking = replace(taking, width=check_integer(taking.width, "width", SMALLEST_WIDTH, LARGEST_WIDTH))
     environment, up = _light_of(transfer, lighting), taking.aim.axis
