@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
+from textwrap import shorten
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,13 @@ class EffectiveDimension(Summarised):
         ----------
         part : float in [0, 1]
             0.5 gives the median.
+
+        Raises
+        ------
+        UserError
+            A part out of that range.
         """
+        part = _check_part(part)
         lit = self.dimension > 0.0
         if not lit.any():
             return 0.0
@@ -135,8 +142,14 @@ def effective_dimension(
     Raises
     ------
     UserError
-        Pixels of a camera instead of a surface; a number out of its range.
+        Pixels of a camera instead of a surface, or no transfer at all; a number out of its range.
     """
+    if not isinstance(transfer, Transfer | CompressedTransfer):
+        given = repr(str(transfer)) if isinstance(transfer, str | os.PathLike) else f"a {type(transfer).__name__}"
+        raise UserError(
+            f"transfer must be a Transfer or a CompressedTransfer, not {given}; give sp.load(path) or "
+            "sp.precompute(path)"
+        )
     error, neighbourhood = check_error(error), check_neighbourhood(neighbourhood)
     if transfer.film is not None:
         raise UserError(
@@ -247,6 +260,13 @@ def check_neighbourhood(neighbourhood: float) -> float:
     number = _real(neighbourhood)
     if not 0.0 < number <= 1.0:
         raise UserError(f"neighbourhood must be a number in (0, 1], a part of the model's size, not {neighbourhood!r}")
+    return number
+
+
+def _check_part(part: float) -> float:
+    number = _real(part)
+    if not 0.0 <= number <= 1.0:
+        raise UserError(f"part must be a number in [0, 1], not {shorten(repr(part), 80)}")
     return number
 
 

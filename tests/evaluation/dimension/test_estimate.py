@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -254,6 +255,22 @@ def test_quantiles_are_of_the_area():
     result = EffectiveDimension(np.array([1.0, 4.0, 9.0, 0.0]), 25, 0.05, 1.0, 0.1, np.array([1.0, 2.0, 7.0, 90.0]), 3)
     assert [result.quantile(part) for part in (0.0, 0.05, 0.15, 0.5, 1.0)] == [1.0, 1.0, 4.0, 9.0, 9.0]
     assert repr(result) == ("EffectiveDimension(vertices=4, median='9 of 25', coherence=0.64, error=0.05, radius=1)")
+
+
+@pytest.mark.parametrize("part", [-1, 2, 1.0000001, math.nan, [0.5], np.linspace(0, 1, 99), "half", None])
+def test_parts_of_a_surface_that_are_none(part):
+    result = EffectiveDimension(np.array([1.0, 4.0]), 25, 0.05, 1.0, 0.1, np.array([1.0, 2.0]), 3)
+    with pytest.raises(sp.UserError, match=r"^part must be a number in \[0, 1\], not .{1,80}$"):
+        result.quantile(part)
+
+
+@pytest.mark.parametrize("transfer", ["sheet.ply", Path("sheet.prt"), None, np.zeros((4, 1, 9))], ids=type)
+def test_what_is_no_transfer(transfer):
+    with pytest.raises(sp.UserError) as told:
+        effective_dimension(transfer)
+    assert str(told.value).startswith("transfer must be a Transfer or a CompressedTransfer, not ")
+    assert str(told.value).endswith("; give sp.load(path) or sp.precompute(path)")
+    assert "\n" not in str(told.value)
 
 
 @pytest.mark.parametrize("error", [0.0, 1.0, -0.1, 1e-6, math.nan, "much", None])
