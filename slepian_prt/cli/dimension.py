@@ -75,8 +75,8 @@ def dimension(
     transfer = _transfer(file, given, options)
     with progress("effective dimension", "vertices") as (advance, _):
         result = effective_dimension(transfer, error, neighbourhood, advance=advance)
-    if not write_dimension(output, transfer, result, width, aim, finish):
-        note(f"{output}: the camera sees no front of any surface; the picture is empty")
+    for remark in write_dimension(output, transfer, result, width, aim, finish):
+        note(remark)
     if 0 < result.members < _FEW:
         note(
             f"neighbourhoods have {result.members} vertices (the median), too few to tell: give a larger "
