@@ -171,6 +171,27 @@ def test_a_mesh_that_is_too_coarse_is_remarked_on(folder, tmp_path, capsys):
     )
 
 
+def test_surfaces_that_are_left_out_are_named(tmp_path, capsys):
+    """A mirror and glass receive nothing at vertices; of a sheet with two sides the front counts."""
+    (tmp_path / "scene.xml").write_text(
+        """<scene version="3.0.0">
+          <shape type="rectangle" id="sheet"><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
+          <shape type="sphere" id="silver"><point name="center" x="0" y="0" z="2"/><bsdf type="conductor"/></shape>
+          <shape type="sphere" id="drop"><point name="center" x="3" y="0" z="2"/><bsdf type="dielectric"/></shape>
+        </scene>"""
+    )
+    options = ("--bandlimit", 2, "--samples", 16, "--neighbourhood", 0.4)
+    out, err = run(capsys, tmp_path / "scene.xml", "-o", tmp_path / "d.npz", *options)
+    told = next(line for line in err.splitlines() if line.startswith("note: not held at vertices, so that surfaces "))
+    assert "mirror reflection of shapes 'silver', 'drop' (metal, glass)" in told
+    assert told.endswith("transmission through shape 'drop' (glass)")
+    assert out.endswith("; of what has two sides fronts alone count\n")
+    with np.load(tmp_path / "d.npz") as arrays:
+        half = len(arrays["areas"]) // 2
+        assert arrays["areas"][:half].sum() == pytest.approx(4.0, rel=1e-6)
+        assert not arrays["areas"][half:].any()
+
+
 def test_a_picture_of_nothing_is_said_to_be_empty(folder, tmp_path, capsys):
     away = ("--look-at", "0,0,9", "0,0,20", "--width", 100, "--neighbourhood", 0.2)
     _, err = run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.png", *away)

@@ -55,7 +55,8 @@ class EffectiveDimension(Summarised):
     neighbourhood : float
         The same as a part of the model's size.
     areas : (V,)
-        Of the surface about each vertex.
+        Of the surface about each vertex. Zero on the backs of what has two sides, so that it counts once, by its front,
+        the side that its normals point to: backs of walls and floors are seen by no one, and nothing shadows them.
     members : int
         Vertices that a neighbourhood has, the median.
     """
@@ -87,7 +88,7 @@ class EffectiveDimension(Summarised):
             A part out of that range.
         """
         part = _check_part(part)
-        lit = self.dimension > 0.0
+        lit = (self.dimension > 0.0) & (self.areas > 0.0)
         if not lit.any():
             return 0.0
         order = np.argsort(self.dimension[lit])
@@ -164,7 +165,11 @@ def effective_dimension(
     with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
         dimension, counts = _over_surface(surface, vectors, error, advance)
     functions = num_coefficients(transfer.bandlimit)
-    return EffectiveDimension(dimension, functions, error, radius, neighbourhood, surface.areas, int(np.median(counts)))
+    areas = surface.areas.copy()
+    for part in transfer.parts:
+        if part.sides == 2:
+            areas[part.first + part.count : part.end] = 0.0
+    return EffectiveDimension(dimension, functions, error, radius, neighbourhood, areas, int(np.median(counts)))
 
 
 def _over_surface(
