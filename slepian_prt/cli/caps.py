@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slepian_prt.cli.messages import say
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 def print_caps(packed: CompressedTransfer, error: float, content: dict[str, Any] | None) -> None:
     """A line for each cap, the largest dimension first, and one for all of them; or ``content`` and they as JSON."""
     from slepian_prt.evaluation.dimension.caps import cap_dimensions
+    from slepian_prt.evaluation.dimension.limits import remark_on_error
 
     rows = cap_dimensions(packed, error)
+    if remark := remark_on_error(packed, error):
+        note(remark)
     if content is not None:
         click.echo(json.dumps({**content, "error": error, "caps": [_as_dict(row) for row in rows]}, indent=1))
         return

@@ -66,6 +66,7 @@ def dimension(
     from slepian_prt.cli.terminal import progress
     from slepian_prt.evaluation.dimension.estimate import check_error, check_neighbourhood, effective_dimension
     from slepian_prt.evaluation.dimension.files import PICTURE, check_dimension_output, write_dimension
+    from slepian_prt.evaluation.dimension.limits import remark_on_error
     from slepian_prt.relighting.drawing.pictures import Finish
     from slepian_prt.scene.view import Aim
 
@@ -78,7 +79,8 @@ def dimension(
     transfer = _transfer(file, given, options)
     with progress("effective dimension", "vertices") as (advance, _):
         result = effective_dimension(transfer, error, neighbourhood, advance=advance)
-    for remark in write_dimension(output, transfer, result, width, aim, finish):
+    remarks = write_dimension(output, transfer, result, width, aim, finish)
+    for remark in filter(None, (*remarks, remark_on_error(transfer, result.error))):
         note(remark)
     if 0 < result.members < _FEW:
         note(
@@ -113,10 +115,7 @@ def _transfer(file: str, given: list[str], options: dict[str, Any]) -> Transfer 
 def _note_left_out(transfer: Transfer | CompressedTransfer) -> None:
     """Name surfaces of which vertices hold a part of the reflection, or none."""
     if rows := [effect.name for effect in transfer.effects if effect.name.startswith(_OF_SURFACES)]:
-        note(
-            f"not held at vertices, so that surfaces which have nothing else are left out, and of others it is not "
-            f"counted: {'; '.join(rows)}"
-        )
+        note(f"what surfaces reflect diffusely is counted, all else is left out: {'; '.join(rows)}")
 
 
 def _names(settings: Any) -> tuple[str, ...]:

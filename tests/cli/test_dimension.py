@@ -152,6 +152,21 @@ def test_a_transparent_and_a_dark_background(folder, tmp_path, capsys):
     assert dark[-20:].max() > 200  # letters are bright there
 
 
+def test_an_error_that_the_file_has_itself_is_remarked_on(folder, tmp_path, capsys):
+    options = ("--neighbourhood", 0.2, "--error")
+    least = sp.load(folder / "bumpy.prt").predicted_error
+    _, err = run(capsys, folder / "bumpy.prt", "-o", tmp_path / "d.npz", *options, 1.9 * least)
+    assert re.fullmatch(
+        rf"note: transfer vectors have an error of {least:.2g} themselves, which counts as dimension at an --error of "
+        r"0\.\d+: give an --error of 0\.1 or more, or transfer of a smaller --tolerance and more --samples\n",
+        err,
+    )
+    _, err = run(capsys, folder / "bumpy.prt", "-o", tmp_path / "d.npz", *options, 2.0001 * least)
+    assert err == ""
+    _, err = run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.npz", *options, 1.9 * least)
+    assert err == ""  # of a file of no loss nothing is known
+
+
 def test_what_has_no_effect_is_said(folder, tmp_path, capsys):
     _, err = run(
         capsys, folder / "bumpy.npz", "-o", tmp_path / "d.npz", "--samples", 16, "--width", 99, "--neighbourhood", 0.2
@@ -182,7 +197,7 @@ def test_surfaces_that_are_left_out_are_named(tmp_path, capsys):
     )
     options = ("--bandlimit", 2, "--samples", 16, "--neighbourhood", 0.4)
     out, err = run(capsys, tmp_path / "scene.xml", "-o", tmp_path / "d.npz", *options)
-    told = next(line for line in err.splitlines() if line.startswith("note: not held at vertices, so that surfaces "))
+    told = next(line for line in err.splitlines() if line.startswith("note: what surfaces reflect diffusely is "))
     assert "mirror reflection of shapes 'silver', 'drop' (metal, glass)" in told
     assert told.endswith("transmission through shape 'drop' (glass)")
     assert out.endswith("; of what has two sides fronts alone count\n")

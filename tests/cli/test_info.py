@@ -132,7 +132,7 @@ def test_older_files_point_to_their_caps(coarse, tmp_path, capsys):
 
 def test_caps_of_pixels_are_not_held_against_the_paper(capsys):
     """Theirs are directions of light: there is no count for normals, in no form."""
-    packed = SimpleNamespace(bandlimit=4)
+    packed = SimpleNamespace(bandlimit=4, predicted_error=0.0, path_noise=None, film_outline=None)
     rows = (CapDimension(3, 40, 0.2, None, 2.6, 25), CapDimension(1, 20, 0.1, None, 1.5, 25))
     with patch("slepian_prt.evaluation.dimension.caps.cap_dimensions", return_value=rows):
         print_caps(packed, 0.05, None)
@@ -143,6 +143,17 @@ def test_caps_of_pixels_are_not_held_against_the_paper(capsys):
     content = json.loads(capsys.readouterr().out)
     assert [row["by_the_paper"] for row in content["caps"]] == [None, None]
     assert content["film"] == "8 x 8 of front"
+
+
+def test_an_error_that_the_file_has_itself_is_remarked_on(coarse, capsys):
+    """Also beside JSON, which it is not in."""
+    least = load(coarse).predicted_error
+    for error, remarks in ((1.9 * least, 1), (2.1 * least, 0)):
+        assert main(["info", str(coarse), "--caps", "--error", str(error), "--json"]) == 0
+        printed = capsys.readouterr()
+        assert json.loads(printed.out)["error"] == error
+        assert printed.err.count("\n") == remarks
+        assert printed.err.startswith(remarks * "note: transfer vectors have an error of ")
 
 
 @pytest.mark.parametrize(
