@@ -9,7 +9,7 @@ import numpy as np
 from drawing import ROOT, save
 
 import slepian_prt as sp
-from slepian_prt.evaluation.dimension.picture import ColourScale, describe_scale, draw_dimension, draw_scale
+from slepian_prt.evaluation.dimension.picture import ColourScale, describe_scale, draw_bar, draw_dimension
 from slepian_prt.relighting.drawing.camera import relit_camera
 from slepian_prt.renderer.variants import mitsuba
 
@@ -37,7 +37,7 @@ def dimension() -> None:
         axis.axis("off")
         print(f"knot, {name}: median {_in_words(result)}; 5 % of the surface {_ends(result)}")
     bar = figure.add_axes((0.1, 0.135, 0.8, 0.035))
-    draw_scale(bar, results[1], scale, "black", points=500.0)
+    draw_bar(bar, scale, "black", text=11.0, width=0.8 * 8.0 * 72.0)
     bar.set_title("effective dimension of light transport around each point", fontsize=12)
     bar.set_xlabel(describe_scale(results[1]), fontsize=11)
     save(figure, "dimension")

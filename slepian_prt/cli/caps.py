@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slepian_prt.cli.messages import say
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.terminal import print_table
 
 if TYPE_CHECKING:
@@ -20,9 +20,12 @@ if TYPE_CHECKING:
 
 def print_caps(packed: CompressedTransfer, error: float, content: dict[str, Any] | None) -> None:
     """A line for each cap, the largest dimension first, and one for all of them; or ``content`` and they as JSON."""
-    from slepian_prt.evaluation.dimension.caps import EPSILON, cap_dimensions
+    from slepian_prt.evaluation.dimension.caps import cap_dimensions
+    from slepian_prt.evaluation.dimension.limits import remark_on_error
 
     rows = cap_dimensions(packed, error)
+    if remark := remark_on_error(packed, error):
+        note(remark)
     if content is not None:
         click.echo(json.dumps({**content, "error": error, "caps": [_as_dict(row) for row in rows]}, indent=1))
         return
@@ -49,7 +52,7 @@ def print_caps(packed: CompressedTransfer, error: float, content: dict[str, Any]
         spare=("vertices", "coherence"),
     )
     if rows:
-        say(_in_words(rows, error, EPSILON))
+        say(_in_words(rows, packed.bandlimit, error))
 
 
 def _as_dict(row: CapDimension) -> dict[str, Any]:
@@ -63,18 +66,16 @@ def _as_dict(row: CapDimension) -> dict[str, Any]:
     }
 
 
-def _in_words(rows: Sequence[CapDimension], error: float, epsilon: float) -> str:
+def _in_words(rows: Sequence[CapDimension], bandlimit: int, error: float) -> str:
+    from slepian_prt.evaluation.dimension.caps import count_concentrations, describe_count
+
     functions = rows[0].functions
     measured = math.ceil(median(row.dimension for row in rows))
     text = (
         f"a cap has effective dimension {measured} of {functions}, coherence {1.0 - measured / functions:.2f} (the "
         f"median of {len(rows)}; error {100.0 * error:.3g} %)"
     )
-    counts = [row.expected for row in rows if row.expected is not None]
-    if not counts:
+    if rows[0].expected is None:
         return text
-    degrees = math.degrees(median(row.half_angle for row in rows))
-    return (
-        f"{text}; the paper counts {math.ceil(median(counts))} concentrations above {epsilon:g} in caps of "
-        f"{degrees:.0f} degrees"
-    )
+    middle = median(row.half_angle for row in rows)
+    return f"{text}; the paper counts {describe_count(count_concentrations(bandlimit, middle), middle)}"

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 # Fewer vertices than these do not tell what happens in a neighbourhood.
 _FEW = 12
 
+# Rows of the plan about surfaces that vertices do not hold, or not all of.
+_OF_SURFACES = ("glossy reflection of ", "mirror reflection of ", "transmission through ", "light received by ")
+
 
 @click.command()
 @click.argument("file", type=click.Path(), metavar="FILE|SCENE")
@@ -63,6 +66,7 @@ def dimension(
     from slepian_prt.cli.terminal import progress
     from slepian_prt.evaluation.dimension.estimate import check_error, check_neighbourhood, effective_dimension
     from slepian_prt.evaluation.dimension.files import PICTURE, check_dimension_output, write_dimension
+    from slepian_prt.evaluation.dimension.limits import remark_on_error
     from slepian_prt.relighting.drawing.pictures import Finish
     from slepian_prt.scene.view import Aim
 
@@ -75,14 +79,16 @@ def dimension(
     transfer = _transfer(file, given, options)
     with progress("effective dimension", "vertices") as (advance, _):
         result = effective_dimension(transfer, error, neighbourhood, advance=advance)
-    if not write_dimension(output, transfer, result, width, aim, finish):
-        note(f"{output}: the camera sees no front of any surface; the picture is empty")
+    remarks = write_dimension(output, transfer, result, width, aim, finish)
+    for remark in filter(None, (*remarks, remark_on_error(transfer, result.error))):
+        note(remark)
     if 0 < result.members < _FEW:
         note(
             f"neighbourhoods have {result.members} vertices (the median), too few to tell: give a larger "
             "`neighbourhood`, or a finer mesh"
         )
-    say(f"{output}: {_in_words(result)}")
+    _note_left_out(transfer)
+    say(f"{output}: {_in_words(result, any(part.sides == 2 for part in transfer.parts))}")
 
 
 def _transfer(file: str, given: list[str], options: dict[str, Any]) -> Transfer | CompressedTransfer:
@@ -106,6 +112,12 @@ def _transfer(file: str, given: list[str], options: dict[str, Any]) -> Transfer 
         return precompute(file, **{name: options[name] for name in names}, advance=advance)
 
 
+def _note_left_out(transfer: Transfer | CompressedTransfer) -> None:
+    """Name surfaces of which vertices hold a part of the reflection, or none."""
+    if rows := [effect.name for effect in transfer.effects if effect.name.startswith(_OF_SURFACES)]:
+        note(f"what surfaces reflect diffusely is counted, all else is left out: {'; '.join(rows)}")
+
+
 def _names(settings: Any) -> tuple[str, ...]:
     return tuple(field.name for field in fields(settings))
 
@@ -115,10 +127,11 @@ def _note_unused(given: list[str], names: tuple[str, ...], where: str) -> None:
         note(f"{', '.join(unused)} {'has' if len(unused) == 1 else 'have'} no effect {where}")
 
 
-def _in_words(result: EffectiveDimension) -> str:
+def _in_words(result: EffectiveDimension, two_sided: bool) -> str:
     low, middle, high = (math.ceil(result.quantile(part)) for part in (0.05, 0.5, 0.95))
     return (
         f"effective dimension of transport over neighbourhoods of {100.0 * result.neighbourhood:.3g} % of the model's "
         f"size, error {100.0 * result.error:.3g} %: median {middle} of {result.functions} "
         f"(coherence {1.0 - middle / result.functions:.2f}), 5 % of the surface at most {low}, 5 % at least {high}"
+        f"{'; of what has two sides fronts alone count' if two_sided else ''}"
     )

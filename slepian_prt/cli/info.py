@@ -31,17 +31,14 @@ def info(file: str, as_json: bool, by_cap: bool, error: float | None) -> None:
         raise UserError("`error` is about the dimension in caps; give --caps too")
     packed = read_transfer(file, check=False)
     content = _content(packed)
+    whole = {**content, "effects": _effects(packed)}
     if by_cap:
         from slepian_prt.cli.caps import print_caps
 
-        print_caps(packed, 0.05 if error is None else error, content if as_json else None)
+        print_caps(packed, 0.05 if error is None else error, whole if as_json else None)
         return
     if as_json:
-        effects = [
-            {**effect.as_dict(), "name": with_flags(effect.name), "reason": with_flags(effect.reason)}
-            for effect in packed.effects
-        ]
-        click.echo(json.dumps({**content, "effects": effects}, indent=1))
+        click.echo(json.dumps(whole, indent=1))
         return
     from slepian_prt.cli.terminal import print_plan
 
@@ -61,6 +58,13 @@ def _entry(name: str, text: str) -> str:
     columns, indent = shutil.get_terminal_size().columns, " " * len(name)
     options: dict[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
     return textwrap.fill(text, columns, initial_indent=name, subsequent_indent=indent, **options)
+
+
+def _effects(packed: CompressedTransfer) -> list[dict[str, Any]]:
+    return [
+        {**effect.as_dict(), "name": with_flags(effect.name), "reason": with_flags(effect.reason)}
+        for effect in packed.effects
+    ]
 
 
 def _content(packed: CompressedTransfer) -> dict[str, Any]:
@@ -84,7 +88,7 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
         "toward_camera": packed.toward_view,
         "lamps": list(packed.lamp_names) or None,
         "clusters": packed.cap_count,
-        "effective_dimension": None if film is not None else _dimension(packed),
+        "paper_dimension": _paper_dimension(packed),
         "terms": packed.terms,
         "bytes_per_vertex": packed.bytes_per_vertex,
         "mesh_bytes_per_vertex": packed.mesh_bytes_per_vertex,
@@ -107,16 +111,30 @@ def _content(packed: CompressedTransfer) -> dict[str, Any]:
     return content | dict.fromkeys(foreign)
 
 
-def _dimension(packed: CompressedTransfer) -> dict[str, Any]:
-    """By the paper, of a cap of the median size."""
+def _paper_dimension(packed: CompressedTransfer) -> dict[str, Any] | None:
+    """Of a cap of the median size; None where there is none of normals, or the file does not say how wide it is."""
     from slepian_prt.evaluation.dimension.caps import EPSILON, count_concentrations
 
+    half_angle = packed.typical_half_angle
+    if packed.film_outline is not None or half_angle is None:
+        return None
     return {
-        "count": count_concentrations(packed.bandlimit, packed.typical_half_angle),
+        "count": count_concentrations(packed.bandlimit, half_angle),
         "functions": (packed.bandlimit + 1) ** 2,
-        "half_angle_degrees": math.degrees(packed.typical_half_angle),
+        "half_angle_degrees": math.degrees(half_angle),
         "epsilon": EPSILON,
     }
+
+
+def _paper_dimension_in_words(packed: CompressedTransfer, told: dict[str, Any] | None) -> str | None:
+    from slepian_prt.evaluation.dimension.caps import describe_count
+
+    if packed.film_outline is not None:
+        return None
+    if told is None:
+        return "not in this older file; --caps tells it"
+    counted = describe_count(told["count"], math.radians(told["half_angle_degrees"]))
+    return f"{counted}, of {told['functions']} functions; --caps measures the transport"
 
 
 def _in_words(packed: CompressedTransfer, content: dict[str, Any]) -> dict[str, str | None]:
@@ -127,14 +145,9 @@ def _in_words(packed: CompressedTransfer, content: dict[str, Any]) -> dict[str, 
         for name, counts in packed.verified_left_out.items()
         for which, count in counts.items()
     )
-    dimension = content["effective_dimension"]
     return {
         "lamps": ", ".join(packed.lamp_names) or None,
-        "effective_dimension": dimension
-        and (
-            "median {count} of {functions} (coherence {coherence:.2f}), by the paper for caps of "
-            "{half_angle_degrees:.0f} degrees; --caps measures it"
-        ).format(**dimension, coherence=1.0 - dimension["count"] / dimension["functions"]),
+        "paper_dimension": _paper_dimension_in_words(packed, content["paper_dimension"]),
         "seconds": ", ".join(f"{stage} {value:.2f}" for stage, value in packed.seconds.items()),
         "verified_error": ", ".join(f"{name} {error:.4g}" for name, error in packed.verified.items()) or None,
         "verified_left_out": ", ".join(left_out) or None,

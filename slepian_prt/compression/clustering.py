@@ -18,7 +18,6 @@ _ITERATIONS = 30
 # Few enough for a core's own cache, and for BLAS not to start threads, which together took twice as long.
 _AXES_AT_A_TIME = 1024
 _PATCH_ITERATIONS = 6
-_DIRECTIONS_OF_CELL, _LEAST_DIRECTIONS = 64, 1 << 13
 
 # Sites are directions in 1/2^14, axes count in 1/2^20: products are whole numbers below 2^36, exact in float64.
 _SITE = 1 << 14
@@ -127,20 +126,18 @@ def clusters_of_sites(sites: NDArray[np.int16], axes: NDArray) -> Clusters:
     return Clusters.of_one_class(index, _enclosing(index, len(sites), axes), sites)
 
 
-def half_angles_of_cells(sites: NDArray[np.int16]) -> NDArray[np.float64]:
-    """(n,) how far from its middle, in radians, each cell of all directions reaches that are nearest to one site.
+def typical_half_angle(clusters: Clusters, active: NDArray[np.bool_]) -> float:
+    """Median half-angle, in radians, of the caps that vertices with light belong to; 0 if there are none.
 
-    Told by directions about a fifth of a cell apart, or two degrees, so that it is short by less than that.
+    Parameters
+    ----------
+    clusters : Clusters
+    active : (V,)
+        Where light is received.
     """
-    directions = spherical_fibonacci(max(_DIRECTIONS_OF_CELL * len(sites), _LEAST_DIRECTIONS))
-    index = _assigned(directions, sites)
-    sums = np.stack([np.bincount(index, axis, minlength=len(sites)) for axis in directions.T], axis=1)
-    length = np.linalg.norm(sums, axis=1, keepdims=True)
-    middles = np.where(length > 1e-9, sums / np.maximum(length, 1e-300), np.array([0.0, 0.0, 1.0]))
-    half_angles = np.zeros(len(sites))
-    chords = np.linalg.norm(directions - middles[index], axis=1)
-    np.maximum.at(half_angles, index, 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)))
-    return half_angles
+    counts = np.bincount(clusters.index[active], minlength=len(clusters.caps))
+    lit = [cap.half_angle for cap, count in zip(clusters.caps, counts, strict=True) if count]
+    return float(np.median(lit)) if lit else 0.0
 
 
 def frames_of(clusters: Clusters) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.clustering import Clusters
+from slepian_prt.compression.clustering import Clusters, typical_half_angle
 from slepian_prt.compression.codec.caps import Coded
 from slepian_prt.compression.files.file_size import file_size
 from slepian_prt.compression.linear_basis import LinearBasis
@@ -40,6 +40,8 @@ class Outline:
     prior_weights : (L+1,) or None
     lamps : tuple of str
     film : FilmOutline or None
+    half_angle : float or None
+        See `CompressedTransfer.typical_half_angle`.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Outline:
     prior_weights: NDArray[np.float64] | None
     lamps: tuple[str, ...]
     film: FilmOutline | None
+    half_angle: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -156,6 +159,7 @@ class CompressedTransfer(Summarised):
             prior_weights=self.bases[0].weights,
             lamps=() if self.fixed is None else self.fixed.names,
             film=None if self.film is None else self.film.outline,
+            half_angle=typical_half_angle(self.clusters, self.mesh.receivers.active),
         )
 
     @property
@@ -188,10 +192,13 @@ class CompressedTransfer(Summarised):
         """Number of caps."""
         return self._outline.caps
 
-    @cached_property
-    def typical_half_angle(self) -> float:
-        """Median half-angle of the caps, in radians."""
-        return float(np.median([cap.half_angle for cap in self.clusters.caps]))
+    @property
+    def typical_half_angle(self) -> float | None:
+        """Median half-angle, in radians, of the caps that vertices with light belong to.
+
+        None for a file that does not say it, as older ones do not: the caps tell, once they are decoded.
+        """
+        return self._outline.half_angle
 
     @property
     def lamp_names(self) -> tuple[str, ...]:

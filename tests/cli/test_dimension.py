@@ -11,7 +11,7 @@ from PIL import Image
 
 import slepian_prt as sp
 from slepian_prt.cli import main
-from slepian_prt.evaluation.dimension.estimate import effective_dimension
+from slepian_prt.evaluation.dimension.estimate import EffectiveDimension, effective_dimension
 from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.transport.transfer import Transfer
 from tests.conftest import bumpy
@@ -85,7 +85,7 @@ def test_a_mesh_has_the_dimension_as_a_property_and_as_colours(folder, tmp_path,
     assert np.corrcoef(vertices["green"].astype(float), np.log(expected))[0, 1] > 0.95
 
 
-@pytest.mark.parametrize("width", [16, 120])
+@pytest.mark.parametrize("width", [100, 120])
 def test_a_picture_with_its_scale(folder, tmp_path, capsys, width):
     run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.png", "--width", width, "--neighbourhood", 0.2)
     picture = np.asarray(Image.open(io.BytesIO((tmp_path / "d.png").read_bytes())).convert("RGBA"))
@@ -97,16 +97,74 @@ def test_a_picture_with_its_scale(folder, tmp_path, capsys, width):
     assert np.ptp(middle) > 40  # a colour
 
 
+def test_a_picture_too_narrow_for_its_scale_has_none(folder, tmp_path, capsys):
+    _, err = run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.png", "--width", 99, "--neighbourhood", 0.2)
+    assert err == (
+        f"note: {tmp_path / 'd.png'}: 99 pixels are too few for the scale of the colours, which is left out; give a "
+        "--width of 100 or more\n"
+    )
+    run(capsys, folder / "bumpy.npz", "-o", tmp_path / "e.png", "--width", 100, "--neighbourhood", 0.2)
+    with Image.open(tmp_path / "d.png") as bare, Image.open(tmp_path / "e.png") as scaled:
+        assert bare.width == 99
+        assert bare.height < scaled.height - 60
+
+
+@pytest.mark.parametrize(
+    ("width", "title", "caption"), [(100, 3, 4), (200, 2, 2), (300, 1, 2), (420, 1, 1), (800, 1, 1), (1600, 1, 1)]
+)
+@pytest.mark.parametrize(("low", "high"), [(2.3, 24.0), (1.0, 2601.0), (3.1, 4.7)])
+def test_no_word_of_the_scale_is_cut(width, title, caption, low, high):
+    """Of an empty picture: what stands in rows of ink is the title, the bar, its numbers and the caption, as lines."""
+    from slepian_prt.evaluation.dimension.picture import ColourScale, encode_picture
+    from slepian_prt.relighting.drawing.pictures import Finish
+
+    result = EffectiveDimension(np.ones(4), 2601, 0.0501, 1.0, 0.0501, np.ones(4), 4)
+    scale = ColourScale(low, high)
+    content = encode_picture(np.zeros((20, width, 4)), result, scale, Finish("white"))
+    ink = np.asarray(Image.open(io.BytesIO(content)).convert("L")) < 160
+    assert not ink[:20].any()
+    assert not any(edge.any() for edge in (ink[-2:], ink[:, :2], ink[:, -2:]))
+    rows = [row for row in _runs(ink.any(axis=1)) if row[1] - row[0] > 2]  # ticks that do not touch the bar are less
+    assert len(rows) == title + 2 + caption
+    assert min(end - start for start, end in rows) >= 7
+    start, end = rows[title + 1]
+    numbers = _runs(ink[start:end].any(axis=0), within=0.5 * (end - start))
+    assert len(numbers) > 1
+    assert len(numbers) == len(scale.ticks(max(9.0, 0.0225 * width) / (0.8 * width)))  # they stand apart
+
+
+def _runs(marked: np.ndarray, within: float = 0.0) -> list[tuple[int, int]]:
+    """Where what is marked begins and ends; gaps no wider than ``within`` do not count."""
+    places = np.flatnonzero(marked)
+    cut = np.flatnonzero(np.diff(places) > max(1.0, within))
+    return list(zip(places[np.append(0, cut + 1)].tolist(), (places[np.append(cut, -1)] + 1).tolist(), strict=True))
+
+
 def test_a_transparent_and_a_dark_background(folder, tmp_path, capsys):
-    options = ("--width", 64, "--neighbourhood", 0.2, "--background")
+    options = ("--width", 100, "--neighbourhood", 0.2, "--background")
     run(capsys, folder / "bumpy.npz", "-o", tmp_path / "clear.png", *options, "transparent")
     clear = np.asarray(Image.open(tmp_path / "clear.png"))
     assert clear[0, 0, 3] == 0
-    assert clear[32, 32, 3] == 255
+    assert clear[50, 50, 3] == 255
     run(capsys, folder / "bumpy.npz", "-o", tmp_path / "dark.png", *options, "#102030")
     dark = np.asarray(Image.open(tmp_path / "dark.png").convert("RGB"))
     assert dark[0, 0].tolist() == [0x10, 0x20, 0x30]
-    assert dark[66:].max() > 200  # letters are bright there
+    assert dark[-20:].max() > 200  # letters are bright there
+
+
+def test_an_error_that_the_file_has_itself_is_remarked_on(folder, tmp_path, capsys):
+    options = ("--neighbourhood", 0.2, "--error")
+    least = sp.load(folder / "bumpy.prt").predicted_error
+    _, err = run(capsys, folder / "bumpy.prt", "-o", tmp_path / "d.npz", *options, 1.9 * least)
+    assert re.fullmatch(
+        rf"note: transfer vectors have an error of {least:.2g} themselves, which counts as dimension at an --error of "
+        r"0\.\d+: give an --error of 0\.1 or more, or transfer of a smaller --tolerance and more --samples\n",
+        err,
+    )
+    _, err = run(capsys, folder / "bumpy.prt", "-o", tmp_path / "d.npz", *options, 2.0001 * least)
+    assert err == ""
+    _, err = run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.npz", *options, 1.9 * least)
+    assert err == ""  # of a file of no loss nothing is known
 
 
 def test_what_has_no_effect_is_said(folder, tmp_path, capsys):
@@ -128,8 +186,29 @@ def test_a_mesh_that_is_too_coarse_is_remarked_on(folder, tmp_path, capsys):
     )
 
 
+def test_surfaces_that_are_left_out_are_named(tmp_path, capsys):
+    """A mirror and glass receive nothing at vertices; of a sheet with two sides the front counts."""
+    (tmp_path / "scene.xml").write_text(
+        """<scene version="3.0.0">
+          <shape type="rectangle" id="sheet"><bsdf type="twosided"><bsdf type="diffuse"/></bsdf></shape>
+          <shape type="sphere" id="silver"><point name="center" x="0" y="0" z="2"/><bsdf type="conductor"/></shape>
+          <shape type="sphere" id="drop"><point name="center" x="3" y="0" z="2"/><bsdf type="dielectric"/></shape>
+        </scene>"""
+    )
+    options = ("--bandlimit", 2, "--samples", 16, "--neighbourhood", 0.4)
+    out, err = run(capsys, tmp_path / "scene.xml", "-o", tmp_path / "d.npz", *options)
+    told = next(line for line in err.splitlines() if line.startswith("note: what surfaces reflect diffusely is "))
+    assert "mirror reflection of shapes 'silver', 'drop' (metal, glass)" in told
+    assert told.endswith("transmission through shape 'drop' (glass)")
+    assert out.endswith("; of what has two sides fronts alone count\n")
+    with np.load(tmp_path / "d.npz") as arrays:
+        half = len(arrays["areas"]) // 2
+        assert arrays["areas"][:half].sum() == pytest.approx(4.0, rel=1e-6)
+        assert not arrays["areas"][half:].any()
+
+
 def test_a_picture_of_nothing_is_said_to_be_empty(folder, tmp_path, capsys):
-    away = ("--look-at", "0,0,9", "0,0,20", "--width", 32, "--neighbourhood", 0.2)
+    away = ("--look-at", "0,0,9", "0,0,20", "--width", 100, "--neighbourhood", 0.2)
     _, err = run(capsys, folder / "bumpy.npz", "-o", tmp_path / "d.png", *away)
     assert err == f"note: {tmp_path / 'd.png'}: the camera sees no front of any surface; the picture is empty\n"
 
@@ -176,7 +255,6 @@ def test_vertices_are_those_of_the_file_in_a_mesh(tmp_path, capsys):
 
 def test_colours_are_those_of_the_scale(tmp_path):
     """A square that faces the camera, of one dimension but for a corner: neither shade nor interpolation changes it."""
-    from slepian_prt.evaluation.dimension.estimate import EffectiveDimension
     from slepian_prt.evaluation.dimension.picture import ColourScale, draw_dimension
     from slepian_prt.relighting.drawing.camera import relit_camera
     from slepian_prt.renderer.variants import mitsuba

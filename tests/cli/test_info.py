@@ -6,6 +6,7 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
@@ -15,8 +16,9 @@ import trimesh
 import slepian_prt as sp
 from slepian_prt.cli import main
 from slepian_prt.cli.caps import print_caps
+from slepian_prt.compression.files.container import Contents, write
 from slepian_prt.compression.files.prt_file import load
-from slepian_prt.evaluation.dimension.caps import CapDimension, cap_dimensions
+from slepian_prt.evaluation.dimension.caps import CapDimension, cap_dimensions, describe_count
 from tests.terminal import run_in_terminal
 
 
@@ -87,19 +89,18 @@ def test_it_fits_a_terminal(coarse):
 def test_the_dimension_of_the_whole_and_of_each_cap(coarse, capsys):
     """Plain, by the paper; with --caps as measured, a line for each cap and one for all; as JSON both."""
     assert main(["info", str(coarse), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["effective_dimension"]
+    told = json.loads(capsys.readouterr().out)["paper_dimension"]
     assert (told["functions"], told["epsilon"]) == (9, 0.01)
     assert told["count"] == sp.concentration_count(2, math.radians(told["half_angle_degrees"]), 0.01)
     assert main(["info", str(coarse)]) == 0
-    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("effective_dimension "))
-    assert line.split(maxsplit=1)[1] == (
-        f"median {told['count']} of 9 (coherence {1 - told['count'] / 9:.2f}), by the paper for caps of "
-        f"{told['half_angle_degrees']:.0f} degrees; --caps measures it"
-    )
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("paper_dimension "))
+    counted = describe_count(told["count"], math.radians(told["half_angle_degrees"]))
+    assert line.split(maxsplit=1)[1] == f"{counted}, of 9 functions; --caps measures the transport"
     expected = cap_dimensions(load(coarse), 0.1)
     assert main(["info", str(coarse), "--caps", "--error", "0.1", "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["error"] == 0.1
+    assert [effect["name"] for effect in content["effects"]] == [effect.name for effect in load(coarse).effects]
     assert [(row["cap"], row["vertices"], row["by_the_paper"]) for row in content["caps"]] == [
         (row.cap, row.vertices, row.expected) for row in expected
     ]
@@ -114,20 +115,45 @@ def test_the_dimension_of_the_whole_and_of_each_cap(coarse, capsys):
     assert lines[1].split()[-2:] == [f"{expected[0].dimension:.1f}", f"{expected[0].coherence:.2f}"]
     middle = math.ceil(np.median([row.dimension for row in expected]))
     assert lines[-1].startswith(f"a cap has effective dimension {middle} of 9, coherence {1 - middle / 9:.2f} (the med")
+    assert lines[-1].endswith(f"; the paper counts {counted}")
+
+
+def test_older_files_point_to_their_caps(coarse, tmp_path, capsys):
+    """They do not say how wide caps are, and nothing else in them tells without decoding."""
+    contents = Contents(coarse)
+    manifest = {name: value for name, value in contents.manifest.items() if name != "half_angle"}
+    write(tmp_path / "old.prt", manifest, contents.arrays())
+    assert main(["info", str(tmp_path / "old.prt")]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("paper_dimension "))
+    assert line.split(maxsplit=1)[1] == "not in this older file; --caps tells it"
+    assert main(["info", str(tmp_path / "old.prt"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["paper_dimension"] is None
 
 
 def test_caps_of_pixels_are_not_held_against_the_paper(capsys):
     """Theirs are directions of light: there is no count for normals, in no form."""
+    packed = SimpleNamespace(bandlimit=4, predicted_error=0.0, path_noise=None, film_outline=None)
     rows = (CapDimension(3, 40, 0.2, None, 2.6, 25), CapDimension(1, 20, 0.1, None, 1.5, 25))
     with patch("slepian_prt.evaluation.dimension.caps.cap_dimensions", return_value=rows):
-        print_caps(None, 0.05, None)
+        print_caps(packed, 0.05, None)
         lines = capsys.readouterr().out.splitlines()
-        print_caps(None, 0.05, {"film": "8 x 8 of front"})
+        print_caps(packed, 0.05, {"film": "8 x 8 of front"})
     assert lines[1].split() == ["3", "40", "11.5", "none", "2.6", "0.90"]
     assert lines[-1] == "a cap has effective dimension 3 of 25, coherence 0.88 (the median of 2; error 5 %)"
     content = json.loads(capsys.readouterr().out)
     assert [row["by_the_paper"] for row in content["caps"]] == [None, None]
     assert content["film"] == "8 x 8 of front"
+
+
+def test_an_error_that_the_file_has_itself_is_remarked_on(coarse, capsys):
+    """Also beside JSON, which it is not in."""
+    least = load(coarse).predicted_error
+    for error, remarks in ((1.9 * least, 1), (2.1 * least, 0)):
+        assert main(["info", str(coarse), "--caps", "--error", str(error), "--json"]) == 0
+        printed = capsys.readouterr()
+        assert json.loads(printed.out)["error"] == error
+        assert printed.err.count("\n") == remarks
+        assert printed.err.startswith(remarks * "note: transfer vectors have an error of ")
 
 
 @pytest.mark.parametrize(

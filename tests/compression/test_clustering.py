@@ -2,14 +2,15 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.clustering import (
+    Clusters,
     cluster_axes,
     cluster_by_occlusion,
     cluster_surface,
     clusters_of_sites,
-    half_angles_of_cells,
+    typical_half_angle,
 )
 from slepian_prt.scene.mesh import make_mesh
-from slepian_prt.sphere.caps import angular_distance
+from slepian_prt.sphere.caps import Cap, angular_distance
 from tests.conftest import bumpy, random_directions, sphere
 from tests.numerics import assert_exact
 
@@ -76,23 +77,14 @@ def test_the_index_is_told_from_normals_in_float32_alone(rng):
     assert clusters_of_sites(sites, half_way).index.tolist() == [0]
 
 
-def test_cells_of_six_sites_are_the_faces_of_a_cube():
-    """Their corners are arccos(1/√3) from the middle; of the directions that tell it, one is within 2.5 degrees."""
-    sites = np.concatenate([np.eye(3), -np.eye(3)]) * 16384
-    found = half_angles_of_cells(sites.astype(np.int16))
-    corner = np.arccos(1.0 / np.sqrt(3.0))
-    assert np.all(found > corner - np.radians(2.5))
-    assert np.all(found < corner + np.radians(0.5))  # the middle is that of the directions
-
-
-def test_cells_are_little_wider_than_the_caps_of_normals_that_fill_them():
-    clusters = cluster_axes(sphere(5).normals, 24)
-    assert clusters.sites is not None
-    caps = np.array([cap.half_angle for cap in clusters.caps])
-    ratio = half_angles_of_cells(clusters.sites) / caps
-    assert ratio.min() > 0.93
-    assert ratio.max() < 1.25
-    assert abs(np.median(ratio) - 1.0) < 0.1
+def test_a_typical_cap_is_one_that_receives_light():
+    """Half-angles 0.1, 0.2, 0.9 and 0.3, the third of vertices without light, and a fourth of none at all."""
+    caps = tuple(Cap(np.array([0.0, 0.0, 1.0]), half_angle) for half_angle in (0.1, 0.2, 0.9, 0.3))
+    clusters = Clusters.of_one_class(np.array([0, 0, 1, 2, 1], dtype=np.int32), caps)
+    active = np.array([True, True, True, False, False])
+    assert typical_half_angle(clusters, active) == pytest.approx(0.15, rel=1e-15)
+    assert typical_half_angle(clusters, ~active) == pytest.approx(0.55, rel=1e-15)
+    assert typical_half_angle(clusters, np.zeros(5, dtype=bool)) == 0.0
 
 
 def test_surface_patches_are_connected_and_even(rng):

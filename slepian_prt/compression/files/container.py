@@ -31,6 +31,8 @@ _MISFITS = (KeyError, ValueError, AttributeError, TypeError)
 # A fixed time stamp: the same content gives the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
+# Members of what Transfer.save writes, which is a zip archive too.
+_UNCOMPRESSED = {"about.npy", "vectors.npy"}
 
 # What a member takes beside its content and, twice, its name; and what the whole takes beside its members.
 _OF_MEMBER = 30 + 46
@@ -85,6 +87,11 @@ class Contents:
         check_readable(self.path, "a transfer file", "precompute it first")
         self._arrays: dict[str, NDArray] = {}
         with self._told(), zipfile.ZipFile(self.path) as container:
+            if _UNCOMPRESSED.issubset(container.namelist()):
+                raise UserError(
+                    f"{path}: holds transfer that is not compressed, from Transfer.save; read it with "
+                    "sp.load_transfer, then sp.compress and save it as .prt"
+                )
             self.manifest = json.loads(container.read("manifest.json"))
             if self.manifest.get("format") != FORMAT:
                 raise UserError(f"{path}: is not a transfer file of slepian-prt; precompute one")

@@ -9,6 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from slepian_prt.compression.clustering import typical_half_angle
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.files import container
 from slepian_prt.compression.files.file_size import remember_size
@@ -48,6 +49,7 @@ def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple
         "prior": packed.prior,
         "parts": [list(astuple(part)) for part in packed.parts],
         "caps": len(packed.bases),
+        "half_angle": typical_half_angle(packed.clusters, packed.mesh.receivers.active),
         "name": packed.mesh.name,
         "notes": list(packed.mesh.notes),
         "expected_lost": packed.expected.lost.tolist(),

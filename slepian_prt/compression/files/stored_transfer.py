@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.compression.clustering import half_angles_of_cells
 from slepian_prt.compression.compressed import CompressedTransfer, Outline
 from slepian_prt.compression.files.container import Contents
 from slepian_prt.compression.files.film_packing import check_film, unpack_film
@@ -56,16 +55,6 @@ class StoredTransfer(CompressedTransfer):
     lighting = _Late()
     fixed = _Late()
     film = _Late()
-
-    @cached_property
-    def typical_half_angle(self) -> float:
-        """The same, and nothing is decoded: where the file has sites alone, of the cells of all directions about them.
-
-        On the models measured these are up to a degree wider than the caps, whose normals do not fill them.
-        """
-        if "caps/half_angle" in self._contents.manifest["arrays"]:
-            return float(np.median(self._contents.array("caps/half_angle")))
-        return float(np.median(half_angles_of_cells(self._contents.array("clusters/sites"))))
 
 
 def check_schema(contents: Contents) -> None:
@@ -151,7 +140,17 @@ def _outline(contents: Contents, parts: tuple[Part, ...]) -> Outline:
         prior_weights=contents.array("basis/weights") if "basis/weights" in manifest["arrays"] else None,
         lamps=tuple(lamp["name"] for lamp in manifest.get("fixed", ())),
         film=film,
+        half_angle=_half_angle(manifest),
     )
+
+
+def _half_angle(manifest: dict[str, Any]) -> float | None:
+    if "half_angle" not in manifest:
+        return None
+    half_angle = float(manifest["half_angle"])
+    if not 0.0 <= half_angle <= math.pi:
+        raise ValueError("half_angle")
+    return half_angle
 
 
 def _decoded(contents: Contents) -> dict[str, Any]:

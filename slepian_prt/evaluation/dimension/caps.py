@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ from slepian_prt.sphere.caps import cap_area
 
 # Concentration down to which functions count, where nothing else is said.
 EPSILON = 0.01
+
+# Normals that differ by less are one: rounding to float32 takes a hundredth of it.
+_LEAST_DEGREES = 1e-3
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,17 @@ def cap_dimensions(packed: CompressedTransfer, error: float) -> tuple[CapDimensi
                 )
             )
     return tuple(sorted(found, key=lambda row: -row.dimension))
+
+
+def describe_count(count: int, half_angle: float) -> str:
+    """How many concentrations above `EPSILON` a cap of that half-angle, in radians, has: in words.
+
+    A cap of one normal has no area to be concentrated on, though transport there takes a function.
+    """
+    degrees = math.degrees(half_angle)
+    counted = {0: "no concentration", 1: "1 concentration"}.get(count, f"{count} concentrations")
+    where = f"{degrees:.3g} degrees" if degrees >= _LEAST_DEGREES else "one normal"
+    return f"{counted} above {EPSILON:g} in caps of {where}"
 
 
 def count_concentrations(bandlimit: int, half_angle: float, epsilon: float = EPSILON) -> int:

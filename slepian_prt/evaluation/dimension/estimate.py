@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
+from textwrap import shorten
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,8 @@ class EffectiveDimension(Summarised):
     neighbourhood : float
         The same as a part of the model's size.
     areas : (V,)
-        Of the surface about each vertex.
+        Of the surface about each vertex. Zero on the backs of what has two sides, so that it counts once, by its front,
+        the side that its normals point to: backs of walls and floors are seen by no one, and nothing shadows them.
     members : int
         Vertices that a neighbourhood has, the median.
     """
@@ -79,8 +81,14 @@ class EffectiveDimension(Summarised):
         ----------
         part : float in [0, 1]
             0.5 gives the median.
+
+        Raises
+        ------
+        UserError
+            A part out of that range.
         """
-        lit = self.dimension > 0.0
+        part = _check_part(part)
+        lit = (self.dimension > 0.0) & (self.areas > 0.0)
         if not lit.any():
             return 0.0
         order = np.argsort(self.dimension[lit])
@@ -135,8 +143,14 @@ def effective_dimension(
     Raises
     ------
     UserError
-        Pixels of a camera instead of a surface; a number out of its range.
+        Pixels of a camera instead of a surface, or no transfer at all; a number out of its range.
     """
+    if not isinstance(transfer, Transfer | CompressedTransfer):
+        given = repr(str(transfer)) if isinstance(transfer, str | os.PathLike) else f"a {type(transfer).__name__}"
+        raise UserError(
+            f"transfer must be a Transfer or a CompressedTransfer, not {given}; give sp.load(path) or "
+            "sp.precompute(path)"
+        )
     error, neighbourhood = check_error(error), check_neighbourhood(neighbourhood)
     if transfer.film is not None:
         raise UserError(
@@ -151,7 +165,11 @@ def effective_dimension(
     with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
         dimension, counts = _over_surface(surface, vectors, error, advance)
     functions = num_coefficients(transfer.bandlimit)
-    return EffectiveDimension(dimension, functions, error, radius, neighbourhood, surface.areas, int(np.median(counts)))
+    areas = surface.areas.copy()
+    for part in transfer.parts:
+        if part.sides == 2:
+            areas[part.first + part.count : part.end] = 0.0
+    return EffectiveDimension(dimension, functions, error, radius, neighbourhood, areas, int(np.median(counts)))
 
 
 def _over_surface(
@@ -247,6 +265,13 @@ def check_neighbourhood(neighbourhood: float) -> float:
     number = _real(neighbourhood)
     if not 0.0 < number <= 1.0:
         raise UserError(f"neighbourhood must be a number in (0, 1], a part of the model's size, not {neighbourhood!r}")
+    return number
+
+
+def _check_part(part: float) -> float:
+    number = _real(part)
+    if not 0.0 <= number <= 1.0:
+        raise UserError(f"part must be a number in [0, 1], not {shorten(repr(part), 80)}")
     return number
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.dimension.estimate import EffectiveDimension
-from slepian_prt.evaluation.dimension.picture import ColourScale, draw_dimension, encode_picture
+from slepian_prt.evaluation.dimension.picture import LEAST_WIDTH, ColourScale, draw_dimension, encode_picture
 from slepian_prt.files import atomic_output, check_writable
-from slepian_prt.relighting.drawing.camera import relit_camera
+from slepian_prt.relighting.drawing.camera import Camera, relit_camera
 from slepian_prt.relighting.drawing.pictures import MAP, Finish
 from slepian_prt.relighting.files.coloured_mesh import as_in_source, write_ply
 from slepian_prt.renderer.variants import mitsuba
@@ -40,7 +40,7 @@ def write_dimension(
     width: int | None,
     aim: Aim,
     finish: Finish,
-) -> bool:
+) -> tuple[str, ...]:
     """Write what the name of the output says.
 
     Parameters
@@ -57,8 +57,8 @@ def write_dimension(
 
     Returns
     -------
-    bool
-        False for a picture in which nothing of the model is seen.
+    tuple of str
+        What is to be said of it.
     """
     suffix, scale = Path(output).suffix.lower(), ColourScale.of(result)
     if suffix == PICTURE:
@@ -66,12 +66,24 @@ def write_dimension(
             camera = relit_camera(transfer, width, aim)
         with atomic_output(output) as file:
             file.write(encode_picture(draw_dimension(camera, transfer.normals, result, scale), result, scale, finish))
-        return bool(camera.alpha.any())
+        return _remarks(output, camera)
     if suffix == ".ply":
         _write_mesh(output, transfer.mesh, result, scale)
     else:
         _write_numbers(output, transfer.mesh, result)
-    return True
+    return ()
+
+
+def _remarks(output: str | Path, camera: Camera) -> tuple[str, ...]:
+    remarks, width = [], camera.alpha.shape[1]
+    if not camera.alpha.any():
+        remarks.append(f"{output}: the camera sees no front of any surface; the picture is empty")
+    if width < LEAST_WIDTH:
+        remarks.append(
+            f"{output}: {width} pixels are too few for the scale of the colours, which is left out; give a `width` of "
+            f"{LEAST_WIDTH} or more"
+        )
+    return tuple(remarks)
 
 
 def _write_mesh(output: str | Path, mesh: Mesh, result: EffectiveDimension, scale: ColourScale) -> None:

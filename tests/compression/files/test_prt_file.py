@@ -127,6 +127,19 @@ def test_foreign_zip_and_newer_version(tmp_path):
         load(path)
 
 
+@pytest.mark.parametrize("name", ["full.npz", "full.prt"])
+def test_transfer_that_is_not_compressed(name, tmp_path):
+    """What it is and what to do, whatever it is called."""
+    precompute(sphere(1), 2, 16).save(tmp_path / "full.npz")
+    (tmp_path / "full.npz").rename(tmp_path / name)
+    with pytest.raises(UserError) as told:
+        load(tmp_path / name)
+    assert str(told.value) == (
+        f"{tmp_path / name}: holds transfer that is not compressed, from Transfer.save; read it with "
+        "sp.load_transfer, then sp.compress and save it as .prt"
+    )
+
+
 def test_missing_file(tmp_path):
     with pytest.raises(UserError, match="no such file"):
         load(tmp_path / "nothing.prt")

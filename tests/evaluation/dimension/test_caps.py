@@ -1,5 +1,6 @@
 """The caps of a file: counts against those of the concentration problem, dimensions against singular values."""
 
+import itertools
 import math
 from types import SimpleNamespace
 
@@ -8,8 +9,11 @@ import pytest
 
 import slepian_prt as sp
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.evaluation.dimension.caps import cap_dimensions, count_concentrations
+from slepian_prt.compression.files.container import Contents, write
+from slepian_prt.evaluation.dimension.caps import cap_dimensions, count_concentrations, describe_count
+from slepian_prt.scene.mesh import Mesh
 from tests.conftest import bumpy
+from tests.format_reader import read
 
 
 @pytest.fixture(scope="module")
@@ -70,16 +74,70 @@ def test_counting_without_scipy(bandlimit, degrees):
     assert count_concentrations(bandlimit, half_angle) == sp.concentration_count(bandlimit, half_angle, 0.01)
 
 
-def test_a_typical_cap_is_told_without_decoding(packed, tmp_path):
-    """Of sites that of their cells, which the few normals here do not fill; of what the file holds, exactly."""
-    true = float(np.median([cap.half_angle for cap in packed.clusters.caps]))
-    assert "mesh" not in vars(sp.load(packed._contents.path))
-    told = sp.load(packed._contents.path).typical_half_angle
-    assert true < told < 1.3 * true
-    patches = sp.compress(
-        sp.precompute(bumpy(2), bandlimit=2, samples=16), tolerance=0.1, clusters=6, group_by="surface"
-    )
-    patches.save(tmp_path / "patches.prt")
-    loaded = sp.load(tmp_path / "patches.prt")
-    assert loaded.typical_half_angle == patches.typical_half_angle
+def terrain() -> Mesh:
+    """Gentle hills: normals are up to 20 degrees from the vertical, which leaves most of the sphere without any."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9)))
+    a = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + 10], 1), np.stack([a, a + 10, a + 9], 1)])
+    return sp.make_mesh(np.stack([x, y, 0.06 * np.sin(5 * x) * np.cos(4 * y + 0.3)], axis=1), faces)
+
+
+def smallest_cap(normals: np.ndarray) -> float:
+    """Half-angle, from all caps that two or three normals are on the rim of."""
+    if len(normals) == 1:
+        return 0.0
+    pairs = [a + b for a, b in itertools.combinations(normals, 2)]
+    triples = [side * np.cross(b - a, c - a) for a, b, c in itertools.combinations(normals, 3) for side in (-1, 1)]
+    centers = np.array([center for center in (*pairs, *triples) if np.linalg.norm(center) > 1e-12])
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    chords = np.linalg.norm(centers[:, None] - normals, axis=2).max(axis=1)
+    return 2.0 * math.asin(chords.min() / 2.0)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"coding": "float16", "terms": 4}, {"group_by": "surface"}, {"exact_mesh": True}], ids=str
+)
+def test_a_typical_cap_is_told_without_decoding(options, tmp_path):
+    """As wide as caps are about the normals that the file has, where those leave much of the sphere empty."""
+    options = {"tolerance": 0.1} | options if "terms" not in options else options
+    packed = sp.compress(sp.precompute(terrain(), bandlimit=3, samples=16), clusters=9, **options)
+    packed.save(tmp_path / "terrain.prt")
+    loaded = sp.load(tmp_path / "terrain.prt")
+    told = loaded.typical_half_angle
+    assert "mesh" not in vars(loaded)
     assert "clusters" not in vars(loaded)
+    assert told == packed.typical_half_angle
+    assert told == np.median([row.half_angle for row in cap_dimensions(loaded, 0.05)])
+    file = read(tmp_path / "terrain.prt")
+    assert file.manifest["half_angle"] == told
+    normals = file.arrays["mesh/normals"].astype(np.float64)
+    widths = [smallest_cap(normals[cap.members]) for cap in file.caps]
+    # Normals in float32 are of unit length to rounding alone, which angles and chords take differently.
+    assert told == pytest.approx(np.median(widths), abs=4.0 * 2.0**-23)
+    assert told < math.radians(20.0)
+
+
+def test_older_files_do_not_tell(packed, tmp_path):
+    """And whoever saves them again has it."""
+    old = Contents(packed._contents.path)
+    manifest = {name: value for name, value in old.manifest.items() if name != "half_angle"}
+    write(tmp_path / "old.prt", manifest, old.arrays())
+    loaded = sp.load(tmp_path / "old.prt")
+    assert loaded.typical_half_angle is None
+    loaded.save(tmp_path / "again.prt")
+    assert sp.load(tmp_path / "again.prt").typical_half_angle == packed.typical_half_angle
+
+
+@pytest.mark.parametrize("half_angle", [math.nan, -0.1, 3.2, "wide", None, [0.1]])
+def test_half_angles_that_are_none(packed, tmp_path, half_angle):
+    contents = Contents(packed._contents.path)
+    write(tmp_path / "spoiled.prt", {**contents.manifest, "half_angle": half_angle}, contents.arrays())
+    with pytest.raises(sp.UserError, match=r"spoiled\.prt: its contents do not fit together .*; precompute it again$"):
+        sp.load(tmp_path / "spoiled.prt", check=False)
+
+
+def test_counts_in_words():
+    assert describe_count(6, math.radians(13.24)) == "6 concentrations above 0.01 in caps of 13.2 degrees"
+    assert describe_count(1, math.radians(0.5)) == "1 concentration above 0.01 in caps of 0.5 degrees"
+    assert describe_count(0, math.radians(0.02)) == "no concentration above 0.01 in caps of 0.02 degrees"
+    assert describe_count(0, 1e-7) == "no concentration above 0.01 in caps of one normal"

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,8 @@ from slepian_prt.evaluation.dimension.estimate import (
 )
 from slepian_prt.evaluation.dimension.neighbourhoods import Surface
 from slepian_prt.scene.mesh import Mesh, make_mesh
+from slepian_prt.scene.mitsuba.two_sides import with_back
+from slepian_prt.scene.scene import Part
 from slepian_prt.slepian.kernels import zonal_vectors
 from slepian_prt.transport.transfer import Transfer
 from tests.conftest import bumpy, random_directions, sphere
@@ -254,6 +257,38 @@ def test_quantiles_are_of_the_area():
     result = EffectiveDimension(np.array([1.0, 4.0, 9.0, 0.0]), 25, 0.05, 1.0, 0.1, np.array([1.0, 2.0, 7.0, 90.0]), 3)
     assert [result.quantile(part) for part in (0.0, 0.05, 0.15, 0.5, 1.0)] == [1.0, 1.0, 4.0, 9.0, 9.0]
     assert repr(result) == ("EffectiveDimension(vertices=4, median='9 of 25', coherence=0.64, error=0.05, radius=1)")
+
+
+def test_of_two_sides_the_front_counts(ball):
+    """Backs have a dimension of their own, in neighbourhoods of their own, but no area."""
+    mesh = ball.mesh
+    both = with_back(mesh, mesh.albedo)
+    count, back = len(mesh.positions), np.zeros_like(ball.vectors)
+    back[:, 0, 0] = 1.0
+    two = replace(ball, mesh=both, vectors=np.concatenate([ball.vectors, back]), parts=(Part("ball", 0, count, 2),))
+    found, front = effective_dimension(two, neighbourhood=0.1), effective_dimension(ball, neighbourhood=0.1)
+    assert_exact(found.dimension[count:], np.ones(count), "one function is all that backs have")
+    assert_exact(found.areas[count:], np.zeros(count), "none")
+    assert_exact(found.areas[:count], front.areas, "the same sums")
+    # Neighbourhoods begin at other vertices, which is some per cent of a dimension.
+    assert found.quantile(0.5) == pytest.approx(front.quantile(0.5), rel=0.06)
+    assert found.quantile(0.01) > 1.0
+
+
+@pytest.mark.parametrize("part", [-1, 2, 1.0000001, math.nan, [0.5], np.linspace(0, 1, 99), "half", None])
+def test_parts_of_a_surface_that_are_none(part):
+    result = EffectiveDimension(np.array([1.0, 4.0]), 25, 0.05, 1.0, 0.1, np.array([1.0, 2.0]), 3)
+    with pytest.raises(sp.UserError, match=r"^part must be a number in \[0, 1\], not .{1,80}$"):
+        result.quantile(part)
+
+
+@pytest.mark.parametrize("transfer", ["sheet.ply", Path("sheet.prt"), None, np.zeros((4, 1, 9))], ids=type)
+def test_what_is_no_transfer(transfer):
+    with pytest.raises(sp.UserError) as told:
+        effective_dimension(transfer)
+    assert str(told.value).startswith("transfer must be a Transfer or a CompressedTransfer, not ")
+    assert str(told.value).endswith("; give sp.load(path) or sp.precompute(path)")
+    assert "\n" not in str(told.value)
 
 
 @pytest.mark.parametrize("error", [0.0, 1.0, -0.1, 1e-6, math.nan, "much", None])
