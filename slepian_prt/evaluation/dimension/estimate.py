@@ -112,8 +112,8 @@ def effective_dimension(
     transfer vectors there, weighted with the area that each stands for, so that the density of the mesh does not
     matter; no mean is taken off. K is the smallest number that leaves a relative error of at most ``error`` under
     white light: √(Σ_(i>K) σ_i² / Σ_i σ_i²). For transport that is a zonal kernel about normals that fill a cap, σ_i²
-    are the eigenvalues of ``cap_basis(L, Θ, kernel=t)``. Between K and K - 1 the logarithm of what is left is taken to
-    be linear, which makes the dimension change smoothly along the surface.
+    are the eigenvalues of ``cap_basis(L, Θ, kernel=t)``. Between K and K - 1 the error is taken to be linear,
+    which makes the dimension change smoothly along the surface.
 
     The paper's K/M, small where transport is coherent, is ``dimension / functions``.
 
@@ -215,8 +215,9 @@ def dimension_of_vectors(vectors: NDArray, weights: NDArray, error: float) -> fl
 def dimension_of_energies(energies: NDArray, error: float) -> float:
     """The effective dimension where the best functions carry these energies, largest first.
 
-    With r(K) = Σ_(i>K) E_i / Σ_i E_i it is the K with r(K) = error², where ln r is linear between whole numbers, and
-    at least 1: rounded up, the smallest number of functions that leave no more than that. Zero without energy.
+    With r(K) = √(Σ_(i>K) E_i / Σ_i E_i) it is the K with r(K) = error, where r is linear between whole numbers, and at
+    least 1: rounded up, the smallest number of functions that leave no more than that. Zero without energy. Were ln r
+    linear, the K of what has a finite rank would be set by how small the noise is that is left beyond.
 
     Parameters
     ----------
@@ -227,11 +228,10 @@ def dimension_of_energies(energies: NDArray, error: float) -> float:
     left = np.append(np.cumsum(np.maximum(energies, 0.0)[::-1])[::-1], 0.0)
     if not left[0] > 0.0:
         return 0.0
-    left /= left[0]
-    wanted = error * error
-    count = int(np.argmax(left <= wanted))
-    above, below = float(left[count - 1]), max(float(left[count]), 1e-300)
-    return max(1.0, count - 1.0 + math.log(above / wanted) / math.log(above / below))
+    errors = np.sqrt(left / left[0])
+    count = int(np.argmax(errors <= error))
+    above, below = float(errors[count - 1]), float(errors[count])
+    return max(1.0, count - 1.0 + (above - error) / (above - below))
 
 
 def check_error(error: float) -> float:

@@ -55,12 +55,25 @@ def test_rounded_up_it_is_the_smallest_number_of_functions(rng):
         assert math.ceil(dimension_of_energies(energies, error)) == smallest_count(energies, error)
 
 
-def test_it_is_linear_in_the_logarithm_of_the_error_for_energies_that_fall_by_a_constant():
-    """E_i = q^i leaves q^K of all (of infinitely many): K = 2 ln error / ln q, between whole numbers too."""
-    energies = 0.5 ** np.arange(200.0)
-    for error in (0.3, 0.05, 0.011):
-        expected = 2.0 * math.log(error) / math.log(0.5)
-        assert dimension_of_energies(energies, error) == pytest.approx(expected, rel=1e-12)
+def test_it_is_linear_in_the_error_between_whole_numbers():
+    """Of energies that fall by a constant q, K functions leave q^(K/2): the chord from one whole number to the next."""
+    energies = 0.25 ** np.arange(200.0)
+    for whole, part in ((1, 0.5), (4, 0.25), (7, 0.9), (3, 1.0)):
+        error = 0.5**whole * (1.0 - part) + 0.5 ** (whole + 1) * part
+        assert dimension_of_energies(energies, error) == pytest.approx(whole + part, rel=1e-12)
+
+
+def test_noise_does_not_set_it_where_the_rank_is_finite(rng):
+    """Two flat faces are of rank two: noise of a part s of the vectors moves r(1) and r(2) by s, so K by 2 s / r(1)."""
+    normals = np.repeat([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], 50, axis=0)
+    vectors = zonal_vectors(sp.cosine_lobe(10), normals).astype(np.float64)
+    sigma = np.linalg.svd(vectors, compute_uv=False).tolist()
+    expected = 2.0 - 0.05 / (sigma[1] / math.hypot(sigma[0], sigma[1]))
+    size = math.sqrt(float(np.mean(vectors**2)))
+    for noise in (0.0, 1e-7, 1e-5, 1e-3, 1e-2):
+        noisy = vectors + noise * size * rng.normal(size=vectors.shape)
+        found = dimension_of_vectors(noisy, np.ones(100), 0.05)
+        assert found == pytest.approx(expected, abs=1e-6 + 2.0 * noise * math.hypot(sigma[0], sigma[1]) / sigma[1])
 
 
 def test_one_function_and_none():
