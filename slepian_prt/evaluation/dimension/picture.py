@@ -22,6 +22,9 @@ _COLOURS = "viridis"
 # What of a colour is left where a surface turns away from the camera: form is seen, and colours are still told apart.
 _DARKEST = 0.55
 
+# sRGB of what no light reaches, which has no dimension.
+_DARK = 0.5
+
 # Of the surface, at either end, whose colours are those of the ends of the scale.
 _BEYOND = 0.01
 
@@ -54,14 +57,16 @@ class ColourScale:
         return cls(low, max(high, _LEAST_RANGE * low))
 
     def colours(self, dimension: NDArray) -> NDArray[np.float64]:
-        """sRGB in [0, 1], (..., 3)."""
+        """sRGB in [0, 1], (..., 3); grey where the dimension is zero, as no light arrives."""
         place = np.log(np.maximum(dimension, 1.0) / self.low) / math.log(self.high / self.low)
-        return np.asarray(colormaps[_COLOURS](np.clip(place, 0.0, 1.0))[..., :3])
+        colours = colormaps[_COLOURS](np.clip(place, 0.0, 1.0))[..., :3]
+        return np.where(np.asarray(dimension)[..., None] > 0.0, colours, _DARK)
 
     @property
-    def ticks(self) -> list[int]:
-        """Round numbers on it."""
-        return [tick for tick in _TICKS if self.low <= tick <= self.high]
+    def ticks(self) -> list[float]:
+        """Round numbers on it, at least two, or else its ends to hundredths."""
+        whole: list[float] = [tick for tick in _TICKS if self.low <= tick <= self.high]
+        return whole if len(whole) > 1 else [round(self.low, 2), round(self.high, 2)]
 
 
 def draw_dimension(
@@ -69,10 +74,14 @@ def draw_dimension(
 ) -> NDArray[np.float64]:
     """(H, W, 4) sRGB and opacity in [0, 1]: colours of the scale, darker where the surface turns away.
 
-    The dimension is interpolated, not its colours.
+    The dimension is interpolated, not its colours, and from vertices that light reaches only; what is nearer to those
+    that it does not reach is grey.
     """
-    seen = camera.picture(np.repeat(result.dimension[:, None], 3, axis=1))
-    colours = scale.colours(seen.radiance[..., 0] / np.maximum(seen.alpha, 1e-4))
+    lit = (result.dimension > 0.0).astype(np.float64)
+    seen = camera.picture(np.stack([result.dimension, lit, lit], axis=1))
+    reached = seen.radiance[..., 1]
+    dimension = seen.radiance[..., 0] / np.maximum(reached, 1e-4)
+    colours = scale.colours(np.where(reached > 0.5 * seen.alpha, dimension, 0.0))
     turned = camera.picture(normals).radiance
     turned /= np.maximum(np.linalg.norm(turned, axis=2, keepdims=True), 1e-6)
     facing = np.clip(-np.sum(turned * camera.directions, axis=2, keepdims=True), 0.0, 1.0)
@@ -85,7 +94,8 @@ def encode_picture(pixels: NDArray, result: EffectiveDimension, scale: ColourSca
     strip = math.ceil(_STRIP * width)
     dpi = 100.0
     with rc_context({"font.family": "sans-serif"}):
-        figure = Figure(figsize=(width / dpi, (height + strip) / dpi), dpi=dpi)
+        # A little more than whole pixels, which are cut to whole ones: n / 100 · 100 is less than n for some n.
+        figure = Figure(figsize=((width + 1e-3) / dpi, (height + strip + 1e-3) / dpi), dpi=dpi)
         colour = finish.colour
         background = (1.0, 1.0, 1.0, 0.0) if colour is None else tuple(encode_srgb(colour))
         ink = "black" if colour is None or float(colour.mean()) > 0.2 else "white"
@@ -105,7 +115,7 @@ def draw_scale(axis: Any, result: EffectiveDimension, scale: ColourScale, ink: s
     axis.set_xscale("log")
     axis.set_xlim(scale.low, scale.high)
     axis.set_yticks([])
-    axis.set_xticks(scale.ticks, [str(tick) for tick in scale.ticks])
+    axis.set_xticks(scale.ticks, [f"{tick:.4g}" for tick in scale.ticks])
     axis.set_xticks([], minor=True)
     axis.tick_params(labelsize=_TEXT * points, colors=ink, length=0.006 * points, width=0.0015 * points)
     for spine in axis.spines.values():

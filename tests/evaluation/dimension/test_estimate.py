@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import slepian_prt as sp
+from slepian_prt.evaluation.dimension import estimate
 from slepian_prt.evaluation.dimension.estimate import (
     EffectiveDimension,
     dimension_of_energies,
@@ -255,6 +256,49 @@ def test_dark_and_unused_vertices_count_for_nothing(ball):
     found = effective_dimension(stray, neighbourhood=0.2)
     assert found.dimension[-1] == 0.0
     assert found.radius == result.radius  # no face uses it: the model is no larger
+
+
+def test_darkness_is_no_low_dimension_to_go_over_into(ball):
+    """Half of a ball dark: what is lit is of at least one function up to the border, what is dark of none."""
+    vectors, dark = ball.vectors.copy(), ball.positions[:, 0] < 0.0
+    vectors[dark] = 0.0
+    found = effective_dimension(replace(ball, vectors=vectors), neighbourhood=0.1)
+    assert_exact(found.dimension[dark], np.zeros(int(dark.sum())), "no light arrives")
+    assert found.dimension[~dark].min() >= 1.0
+    none = effective_dimension(replace(ball, vectors=np.zeros_like(vectors)), neighbourhood=0.2)
+    assert "median='none, no light arrives anywhere', error=" in repr(none)
+    assert "coherence" not in repr(none)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_vectors_that_are_not_finite(ball, wrong):
+    vectors = ball.vectors.copy()
+    vectors[[7, 90], 0, 3] = wrong
+    said = r"^the transfer vectors of 2 of 2562 vertices are not finite, the first of vertex 7; precompute"
+    with pytest.raises(sp.UserError, match=said):
+        effective_dimension(replace(ball, vectors=vectors))
+
+
+def test_progress_reaches_its_total(ball):
+    """Of vertices that faces use, each once; calls are many, as sites are."""
+    mesh = make_mesh(np.concatenate([ball.positions, [[9.0, 9.0, 9.0]]]), ball.mesh.faces)
+    stray = replace(ball, mesh=mesh, vectors=np.concatenate([ball.vectors, ball.vectors[:1]]))
+    told: list[tuple[int, int]] = []
+    effective_dimension(stray, neighbourhood=0.2, advance=lambda done, total: told.append((done, total)))
+    assert sum(done for done, _ in told) == len(ball.vectors)
+    assert {total for _, total in told} == {len(ball.vectors)}
+    assert len(told) > 50
+
+
+def test_all_blocks_of_vectors_count(rng, monkeypatch):
+    """More vectors than are multiplied at once, whose second half adds functions to the first."""
+    monkeypatch.setattr(estimate, "_ROWS", 50)
+    vectors = np.zeros((120, 8))
+    vectors[:60, :2], vectors[60:, 2:] = rng.normal(size=(60, 2)), rng.normal(size=(60, 6))
+    sigma = np.linalg.svd(vectors, compute_uv=False)
+    found = dimension_of_vectors(vectors, np.ones(120), 0.05)
+    assert found == pytest.approx(dimension_of_energies(sigma**2, 0.05), abs=1e-9)
+    assert found > 7.0
 
 
 def test_pixels_of_a_camera_are_no_surface(ball):
