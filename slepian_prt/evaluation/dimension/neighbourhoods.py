@@ -116,10 +116,13 @@ class Surface:
         counts = self._first[near + 1] - self._first[near]
         ends = np.cumsum(counts)
         places = np.arange(ends[-1]) + np.repeat(self._first[near] - (ends - counts), counts)
-        ours, theirs = np.repeat(np.arange(near.size), counts), self._number[self._next[places]]
+        theirs = self._number[self._next[places]]
         inside = theirs >= 0
-        links = (np.ones(int(inside.sum()), dtype=bool), (ours[inside], theirs[inside]))
-        pieces = connected_components(csr_array(links, shape=(near.size, near.size)), directed=False)[1]
+        starts = np.concatenate([[0], np.cumsum(inside)])[np.concatenate([[0], ends])]
+        links = (np.ones(int(starts[-1])), theirs[inside], starts)
+        # Each link is there in both directions, so that pieces are strong ones, which are found without turning it.
+        graph = csr_array(links, shape=(near.size, near.size))
+        pieces = connected_components(graph, connection="strong")[1]
         together = pieces == pieces[self._number[vertex]]
         self._number[near] = -1
         return np.asarray(together)
