@@ -7,6 +7,7 @@ import trimesh
 
 from slepian_prt.compression.grouping import group_transfer
 from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.evaluation import hemispherical_transfer as hemispherical_transfer_module
 from slepian_prt.evaluation.hemispherical_transfer import hemispherical_transfer
 from slepian_prt.evaluation.methods import METHODS, Workload
 from slepian_prt.evaluation.metrics import relative_rms
@@ -98,6 +99,27 @@ def test_method_keeps_whole_degrees(shadowed):
     assert told == ["hsh, 4 terms", "hsh, 12 terms"]
     assert runs[1].compressed is None
     assert_exact(runs[1].radiance(light), runs[1].transfer.radiance(light), "one passes the other on")
+
+
+def test_numbers_with_the_same_degrees_are_run_once(shadowed):
+    """5 and 8 are 4 functions, 17 and 20 are 16: of each the number nearest to 16, which pictures are drawn of."""
+    light = np.ones((3, 49))
+    terms = (5, 8, 17, 20, 9)
+    work = Workload(shadowed, group_transfer(CompressionSettings(clusters=4), shadowed), [light], terms, lambda _: None)
+    assert [(run.wanted_terms, run.terms) for run in METHODS["hsh"].run(work)] == [(8, 4), (17, 16), (9, 9)]
+
+
+def test_blocks_of_vertices_are_each_in_their_place(shadowed, rng, monkeypatch):
+    """Many blocks give what one gives, of coefficients, vectors and radiance; the last is not full."""
+    whole, light = hemispherical_transfer(shadowed, 16), rng.normal(size=(3, 49))
+    expected = [whole.coefficients.astype(float), whole.reconstruct(), whole.radiance(light)]
+    monkeypatch.setattr(hemispherical_transfer_module, "_BLOCK", 100)
+    assert len(shadowed.vectors) % 100 > 0
+    blocks = hemispherical_transfer(shadowed, 16)
+    found = [blocks.coefficients.astype(float), blocks.reconstruct(), blocks.radiance(light)]
+    for one, many in zip(expected, found, strict=True):
+        # Products of other shapes are rounded otherwise, which may move a float16 by its last place.
+        np.testing.assert_allclose(many, one, rtol=0.0, atol=2.0 * FLOAT16 * np.abs(one).max())
 
 
 def test_vertices_without_a_normal_stay_dark(ball):

@@ -45,7 +45,8 @@ class EffectiveDimension(Summarised):
     Attributes
     ----------
     dimension : (V,)
-        K, not rounded: rounded up it is the number of functions, at least 1. Zero where no light arrives.
+        K, not rounded, at least 1; zero where no light arrives. Interpolated between neighbourhoods: rounded up it is
+        the number of functions at those that it was computed at, and at others within some per cent of it.
     functions : int
         M = (L+1)², of how many.
     error : float
@@ -71,7 +72,7 @@ class EffectiveDimension(Summarised):
 
     @property
     def coherence(self) -> NDArray[np.float64]:
-        """(V,) 1 - K/M: near one where few functions do."""
+        """(V,) 1 - K/M: near one where few functions do, one where no light arrives."""
         return 1.0 - self.dimension / self.functions
 
     def quantile(self, part: float) -> float:
@@ -98,10 +99,13 @@ class EffectiveDimension(Summarised):
 
     def _summary(self) -> dict[str, object]:
         middle = self.quantile(0.5)
-        return {
-            "vertices": self.dimension.size,
+        lit: dict[str, object] = {
             "median": f"{middle:.3g} of {self.functions}",
             "coherence": 1.0 - middle / self.functions,
+        }
+        return {
+            "vertices": self.dimension.size,
+            **(lit if middle > 0.0 else {"median": "none, no light arrives anywhere"}),
             "error": self.error,
             "radius": self.radius,
         }
@@ -120,8 +124,8 @@ def effective_dimension(
     transfer vectors there, weighted with the area that each stands for, so that the density of the mesh does not
     matter; no mean is taken off. K is the smallest number that leaves a relative error of at most ``error`` under
     white light: √(Σ_(i>K) σ_i² / Σ_i σ_i²). For transport that is a zonal kernel about normals that fill a cap, σ_i²
-    are the eigenvalues of ``cap_basis(L, Θ, kernel=t)``. Between K and K - 1 the logarithm of what is left is taken to
-    be linear, which makes the dimension change smoothly along the surface.
+    are the eigenvalues of ``cap_basis(L, Θ, kernel=t)``. Between K and K - 1 the error is taken to be linear,
+    which makes the dimension change smoothly along the surface.
 
     The paper's K/M, small where transport is coherent, is ``dimension / functions``.
 
@@ -134,7 +138,7 @@ def effective_dimension(
         Radius of the neighbourhoods as a part of the model's size, the diagonal of its bounding box. A neighbourhood
         is what of the surface is within that radius of a vertex, in a straight line, and hangs together with it there.
     advance : callable
-        Given (vertices finished since the last call, vertices in all).
+        Given (vertices finished since the last call, vertices in all), of those that some face uses.
 
     Returns
     -------
@@ -143,7 +147,8 @@ def effective_dimension(
     Raises
     ------
     UserError
-        Pixels of a camera instead of a surface, or no transfer at all; a number out of its range.
+        Pixels of a camera instead of a surface, or no transfer at all; vectors that are not finite; a number out of its
+        range.
     """
     if not isinstance(transfer, Transfer | CompressedTransfer):
         given = repr(str(transfer)) if isinstance(transfer, str | os.PathLike) else f"a {type(transfer).__name__}"
@@ -159,7 +164,9 @@ def effective_dimension(
         )
     mesh = transfer.mesh
     vectors = transfer.vectors if isinstance(transfer, Transfer) else transfer.reconstruct()
-    used = mesh.positions[mesh.receivers.active]
+    active = mesh.receivers.active
+    _check_finite(vectors, active)
+    used = mesh.positions[active]
     radius = neighbourhood * float(np.linalg.norm(np.ptp(used, axis=0)))
     surface = Surface(mesh, radius)
     with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
@@ -186,21 +193,25 @@ def _over_surface(
     with ThreadPoolExecutor(min(os.cpu_count() or 1, _THREADS)) as threads:
         while batch := list(islice(wanted, _AT_ONCE)):
             for about, found in zip(batch, threads.map(dimension, batch), strict=True):
+                counts.append(about.members.size)
+                if found == 0.0:  # no light arrives there, which is no low dimension to go over into
+                    continue
                 blend = np.maximum(1.0 - (about.distances / reach) ** 2, 0.0) ** 2
                 total[about.members] += blend * found
                 weight[about.members] += blend
-                counts.append(about.members.size)
+    total[~vectors.any(axis=tuple(range(1, vectors.ndim)))] = 0.0
     return total / np.maximum(weight, 1e-300), counts
 
 
 def _covering(surface: Surface, advance: Callable[[int, int], None]) -> Iterator[Neighbourhood]:
     """Neighbourhoods of vertices that are no closer to each other than the spacing, but of all vertices to one."""
     done, spacing = np.zeros(len(surface.areas), dtype=bool), _SPACING * surface.radius
-    for vertex in surface.spread_order():
+    order = list(surface.spread_order())
+    for vertex in order:
         if not done[vertex]:
             about = surface.about(vertex)
             near = about.members[about.distances <= spacing]
-            advance(int(np.count_nonzero(~done[near])), len(done))
+            advance(int(np.count_nonzero(~done[near])), len(order))
             done[near] = True
             yield about
 
@@ -233,8 +244,9 @@ def dimension_of_vectors(vectors: NDArray, weights: NDArray, error: float) -> fl
 def dimension_of_energies(energies: NDArray, error: float) -> float:
     """The effective dimension where the best functions carry these energies, largest first.
 
-    With r(K) = Σ_(i>K) E_i / Σ_i E_i it is the K with r(K) = error², where ln r is linear between whole numbers, and
-    at least 1: rounded up, the smallest number of functions that leave no more than that. Zero without energy.
+    With r(K) = √(Σ_(i>K) E_i / Σ_i E_i) it is the K with r(K) = error, where r is linear between whole numbers, and at
+    least 1: rounded up, the smallest number of functions that leave no more than that. Zero without energy. Were ln r
+    linear, the K of what has a finite rank would be set by how small the noise is that is left beyond.
 
     Parameters
     ----------
@@ -245,11 +257,20 @@ def dimension_of_energies(energies: NDArray, error: float) -> float:
     left = np.append(np.cumsum(np.maximum(energies, 0.0)[::-1])[::-1], 0.0)
     if not left[0] > 0.0:
         return 0.0
-    left /= left[0]
-    wanted = error * error
-    count = int(np.argmax(left <= wanted))
-    above, below = float(left[count - 1]), max(float(left[count]), 1e-300)
-    return max(1.0, count - 1.0 + math.log(above / wanted) / math.log(above / below))
+    errors = np.sqrt(left / left[0])
+    count = int(np.argmax(errors <= error))
+    above, below = float(errors[count - 1]), float(errors[count])
+    return max(1.0, count - 1.0 + (above - error) / (above - below))
+
+
+def _check_finite(vectors: NDArray, active: NDArray[np.bool_]) -> None:
+    """Raise UserError if a vertex that some face uses has a vector that is not finite."""
+    wrong = active & ~np.isfinite(vectors).all(axis=tuple(range(1, vectors.ndim)))
+    if wrong.any():
+        raise UserError(
+            f"the transfer vectors of {int(wrong.sum())} of {int(active.sum())} vertices are not finite, the first of "
+            f"vertex {int(np.argmax(wrong))}; precompute the transfer again"
+        )
 
 
 def check_error(error: float) -> float:

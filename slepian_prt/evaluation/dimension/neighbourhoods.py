@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.evaluation.dimension.cells import Cells
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import Receivers, morton
 
@@ -15,8 +16,15 @@ from slepian_prt.scene.receivers import Receivers, morton
 # 120 degrees: then they are the two sides of a sheet.
 _OPPOSITE = -0.5
 
-# Vertices count by the part of their area within the radius, those of large areas as if these were this wide.
-_WIDEST = 0.5
+# Vertices count by what of their cells is within the radius, unless they are further outside of it than so many radii.
+_OUTSIDE = 0.5
+
+# A smaller part of the radius squared is no area but rounding.
+_NOTHING = 1e-12
+
+# Copies of a vertex are held against so many that come after them; where there are more, as at the tip of a cone, those
+# that come after one another are next to one another.
+_COPIES = 32
 
 
 class Neighbourhood(NamedTuple):
@@ -64,8 +72,8 @@ class Surface:
         self._positions, self.radius = mesh.positions, radius
         self._active = np.flatnonzero(mesh.receivers.active)
         self._tree = cKDTree(mesh.positions[self._active])
-        self._widths = np.clip(np.sqrt(self.areas), 1e-12 * radius, _WIDEST * radius)
-        self._reach = radius + 0.5 * float(self._widths.max())
+        self._cells = Cells(mesh)
+        self._reach = radius + min(float(self._cells.extents.max()), _OUTSIDE * radius)
         pairs = np.concatenate([mesh.receivers.neighbours, copies_at_one_place(mesh.receivers)])
         pairs = np.concatenate([pairs, pairs[:, ::-1]])
         self._next = pairs[np.argsort(pairs[:, 0], kind="stable"), 1]
@@ -88,10 +96,16 @@ class Surface:
     def about(self, vertex: int) -> Neighbourhood:
         """The neighbourhood of a vertex that some face uses."""
         near = self._active[self._tree.query_ball_point(self._positions[vertex], self._reach)]
-        members = near[self._together(near, vertex)]
-        distances = np.linalg.norm(self._positions[members] - self._positions[vertex], axis=1)
-        within = np.clip((self.radius - distances) / self._widths[members] + 0.5, 0.0, 1.0)
-        return Neighbourhood(members, distances, within * self.areas[members])
+        distances = np.linalg.norm(self._positions[near] - self._positions[vertex], axis=1)
+        over = (distances - self.radius) / np.maximum(self._cells.extents[near], 1e-300)
+        areas = np.where(over < 0.0, self.areas[near], 0.0)
+        rim = np.abs(over) < 1.0
+        areas[rim] = self._cells.areas_within(near[rim], self._positions[vertex], self.radius)
+        # What has no part in the neighbourhood must not join what has: one large face would widen the reach everywhere.
+        counted = (areas > _NOTHING * self.radius**2) | (distances <= self.radius)
+        near, distances, areas = near[counted], distances[counted], areas[counted]
+        together = self._together(near, vertex)
+        return Neighbourhood(near[together], distances[together], areas[together])
 
     def _together(self, near: NDArray[np.int64], vertex: int) -> NDArray[np.bool_]:
         """(n,) which of ``near`` edges among them join with the vertex."""
@@ -102,10 +116,13 @@ class Surface:
         counts = self._first[near + 1] - self._first[near]
         ends = np.cumsum(counts)
         places = np.arange(ends[-1]) + np.repeat(self._first[near] - (ends - counts), counts)
-        ours, theirs = np.repeat(np.arange(near.size), counts), self._number[self._next[places]]
+        theirs = self._number[self._next[places]]
         inside = theirs >= 0
-        links = (np.ones(int(inside.sum()), dtype=bool), (ours[inside], theirs[inside]))
-        pieces = connected_components(csr_array(links, shape=(near.size, near.size)), directed=False)[1]
+        starts = np.concatenate([[0], np.cumsum(inside)])[np.concatenate([[0], ends])]
+        links = (np.ones(int(starts[-1])), theirs[inside], starts)
+        # Each link is there in both directions, so that pieces are strong ones, which are found without turning it.
+        graph = csr_array(links, shape=(near.size, near.size))
+        pieces = connected_components(graph, connection="strong")[1]
         together = pieces == pieces[self._number[vertex]]
         self._number[near] = -1
         return np.asarray(together)
@@ -119,10 +136,19 @@ def vertex_areas(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def copies_at_one_place(receivers: Receivers) -> NDArray[np.int64]:
-    """(n, 2) vertices that stand at the same place of a surface, each with the next of its copies."""
+    """(n, 2) vertices that stand at the same place of a surface: each with its copies there that face the same side.
+
+    Of a sheet with two sides copies alternate as the file has them, so that all pairs are looked at.
+    """
     positions, normals = receivers.positions, receivers.normals
-    order = np.lexsort((np.arange(len(positions)), *positions.T))
-    first, second = order[:-1], order[1:]
-    same = np.all(positions[first] == positions[second], axis=1)
-    same &= np.sum(normals[first] * normals[second], axis=1) > _OPPOSITE
-    return np.stack([first[same], second[same]], axis=1)
+    used = np.flatnonzero(receivers.active)
+    order = used[np.lexsort((used, *positions[used].T))]
+    pairs, places = [], np.arange(max(order.size - 1, 0))
+    for step in range(1, _COPIES + 1):
+        places = places[places < order.size - step]
+        first, second = order[places], order[places + step]
+        same = np.all(positions[first] == positions[second], axis=1)
+        places, first, second = places[same], first[same], second[same]
+        facing = np.sum(normals[first] * normals[second], axis=1) > _OPPOSITE
+        pairs.append(np.stack([first[facing], second[facing]], axis=1))
+    return np.concatenate(pairs)

@@ -23,6 +23,9 @@ _COLOURS = "viridis"
 # What of a colour is left where a surface turns away from the camera: form is seen, and colours are still told apart.
 _DARKEST = 0.55
 
+# sRGB of what no light reaches, which has no dimension.
+_DARK = 0.5
+
 # Of the surface, at either end, whose colours are those of the ends of the scale.
 _BEYOND = 0.01
 
@@ -68,9 +71,10 @@ class ColourScale:
         return cls(low, max(high, _LEAST_RANGE * low))
 
     def colours(self, dimension: NDArray) -> NDArray[np.float64]:
-        """sRGB in [0, 1], (..., 3)."""
+        """sRGB in [0, 1], (..., 3); grey where the dimension is zero, as no light arrives."""
         place = np.log(np.maximum(dimension, 1.0) / self.low) / math.log(self.high / self.low)
-        return np.asarray(colormaps[_COLOURS](np.clip(place, 0.0, 1.0))[..., :3])
+        colours = colormaps[_COLOURS](np.clip(place, 0.0, 1.0))[..., :3]
+        return np.where(np.asarray(dimension)[..., None] > 0.0, colours, _DARK)
 
     def ticks(self, letter: float = 0.0) -> list[float]:
         """Round numbers on it that do not touch each other where letters are of that size, as a part of its width.
@@ -92,10 +96,14 @@ def draw_dimension(
 ) -> NDArray[np.float64]:
     """(H, W, 4) sRGB and opacity in [0, 1]: colours of the scale, darker where the surface turns away.
 
-    The dimension is interpolated, not its colours.
+    The dimension is interpolated, not its colours, and from vertices that light reaches only; what is nearer to those
+    that it does not reach is grey.
     """
-    seen = camera.picture(np.repeat(result.dimension[:, None], 3, axis=1))
-    colours = scale.colours(seen.radiance[..., 0] / np.maximum(seen.alpha, 1e-4))
+    lit = (result.dimension > 0.0).astype(np.float64)
+    seen = camera.picture(np.stack([result.dimension, lit, lit], axis=1))
+    reached = seen.radiance[..., 1]
+    dimension = seen.radiance[..., 0] / np.maximum(reached, 1e-4)
+    colours = scale.colours(np.where(reached > 0.5 * seen.alpha, dimension, 0.0))
     turned = camera.picture(normals).radiance
     turned /= np.maximum(np.linalg.norm(turned, axis=2, keepdims=True), 1e-6)
     facing = np.clip(-np.sum(turned * camera.directions, axis=2, keepdims=True), 0.0, 1.0)
@@ -108,7 +116,8 @@ def encode_picture(pixels: NDArray, result: EffectiveDimension, scale: ColourSca
     legend = _Legend.of(result, width) if width >= LEAST_WIDTH else None
     strip = 0 if legend is None else legend.height
     with rc_context({"font.family": "sans-serif"}):
-        figure = Figure(figsize=(width / _DPI, (height + strip) / _DPI), dpi=_DPI)
+        # A little more than whole pixels, which are cut to whole ones: n / 100 · 100 is less than n for some n.
+        figure = Figure(figsize=((width + 1e-3) / _DPI, (height + strip + 1e-3) / _DPI), dpi=_DPI)
         colour = finish.colour
         background = (1.0, 1.0, 1.0, 0.0) if colour is None else tuple(encode_srgb(colour))
         figure.set_facecolor(background)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import slepian_prt as sp
+from slepian_prt.evaluation.dimension import estimate
 from slepian_prt.evaluation.dimension.estimate import (
     EffectiveDimension,
     dimension_of_energies,
@@ -58,12 +59,25 @@ def test_rounded_up_it_is_the_smallest_number_of_functions(rng):
         assert math.ceil(dimension_of_energies(energies, error)) == smallest_count(energies, error)
 
 
-def test_it_is_linear_in_the_logarithm_of_the_error_for_energies_that_fall_by_a_constant():
-    """E_i = q^i leaves q^K of all (of infinitely many): K = 2 ln error / ln q, between whole numbers too."""
-    energies = 0.5 ** np.arange(200.0)
-    for error in (0.3, 0.05, 0.011):
-        expected = 2.0 * math.log(error) / math.log(0.5)
-        assert dimension_of_energies(energies, error) == pytest.approx(expected, rel=1e-12)
+def test_it_is_linear_in_the_error_between_whole_numbers():
+    """Of energies that fall by a constant q, K functions leave q^(K/2): the chord from one whole number to the next."""
+    energies = 0.25 ** np.arange(200.0)
+    for whole, part in ((1, 0.5), (4, 0.25), (7, 0.9), (3, 1.0)):
+        error = 0.5**whole * (1.0 - part) + 0.5 ** (whole + 1) * part
+        assert dimension_of_energies(energies, error) == pytest.approx(whole + part, rel=1e-12)
+
+
+def test_noise_does_not_set_it_where_the_rank_is_finite(rng):
+    """Two flat faces are of rank two: noise of a part s of the vectors moves r(1) and r(2) by s, so K by 2 s / r(1)."""
+    normals = np.repeat([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], 50, axis=0)
+    vectors = zonal_vectors(sp.cosine_lobe(10), normals).astype(np.float64)
+    sigma = np.linalg.svd(vectors, compute_uv=False).tolist()
+    expected = 2.0 - 0.05 / (sigma[1] / math.hypot(sigma[0], sigma[1]))
+    size = math.sqrt(float(np.mean(vectors**2)))
+    for noise in (0.0, 1e-7, 1e-5, 1e-3, 1e-2):
+        noisy = vectors + noise * size * rng.normal(size=vectors.shape)
+        found = dimension_of_vectors(noisy, np.ones(100), 0.05)
+        assert found == pytest.approx(expected, abs=1e-6 + 2.0 * noise * math.hypot(sigma[0], sigma[1]) / sigma[1])
 
 
 def test_one_function_and_none():
@@ -245,6 +259,49 @@ def test_dark_and_unused_vertices_count_for_nothing(ball):
     found = effective_dimension(stray, neighbourhood=0.2)
     assert found.dimension[-1] == 0.0
     assert found.radius == result.radius  # no face uses it: the model is no larger
+
+
+def test_darkness_is_no_low_dimension_to_go_over_into(ball):
+    """Half of a ball dark: what is lit is of at least one function up to the border, what is dark of none."""
+    vectors, dark = ball.vectors.copy(), ball.positions[:, 0] < 0.0
+    vectors[dark] = 0.0
+    found = effective_dimension(replace(ball, vectors=vectors), neighbourhood=0.1)
+    assert_exact(found.dimension[dark], np.zeros(int(dark.sum())), "no light arrives")
+    assert found.dimension[~dark].min() >= 1.0
+    none = effective_dimension(replace(ball, vectors=np.zeros_like(vectors)), neighbourhood=0.2)
+    assert "median='none, no light arrives anywhere', error=" in repr(none)
+    assert "coherence" not in repr(none)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_vectors_that_are_not_finite(ball, wrong):
+    vectors = ball.vectors.copy()
+    vectors[[7, 90], 0, 3] = wrong
+    said = r"^the transfer vectors of 2 of 2562 vertices are not finite, the first of vertex 7; precompute"
+    with pytest.raises(sp.UserError, match=said):
+        effective_dimension(replace(ball, vectors=vectors))
+
+
+def test_progress_reaches_its_total(ball):
+    """Of vertices that faces use, each once; calls are many, as sites are."""
+    mesh = make_mesh(np.concatenate([ball.positions, [[9.0, 9.0, 9.0]]]), ball.mesh.faces)
+    stray = replace(ball, mesh=mesh, vectors=np.concatenate([ball.vectors, ball.vectors[:1]]))
+    told: list[tuple[int, int]] = []
+    effective_dimension(stray, neighbourhood=0.2, advance=lambda done, total: told.append((done, total)))
+    assert sum(done for done, _ in told) == len(ball.vectors)
+    assert {total for _, total in told} == {len(ball.vectors)}
+    assert len(told) > 50
+
+
+def test_all_blocks_of_vectors_count(rng, monkeypatch):
+    """More vectors than are multiplied at once, whose second half adds functions to the first."""
+    monkeypatch.setattr(estimate, "_ROWS", 50)
+    vectors = np.zeros((120, 8))
+    vectors[:60, :2], vectors[60:, 2:] = rng.normal(size=(60, 2)), rng.normal(size=(60, 6))
+    sigma = np.linalg.svd(vectors, compute_uv=False)
+    found = dimension_of_vectors(vectors, np.ones(120), 0.05)
+    assert found == pytest.approx(dimension_of_energies(sigma**2, 0.05), abs=1e-9)
+    assert found > 7.0
 
 
 def test_pixels_of_a_camera_are_no_surface(ball):

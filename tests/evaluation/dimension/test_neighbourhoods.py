@@ -1,13 +1,17 @@
 """Neighbourhoods on a surface against caps and disks in closed form, and what hangs together."""
 
 import math
+from itertools import permutations
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
+from slepian_prt.evaluation.dimension.cells import Cells
 from slepian_prt.evaluation.dimension.neighbourhoods import Surface, copies_at_one_place, vertex_areas
 from slepian_prt.scene.mesh import Mesh, make_mesh
 from tests.conftest import sphere
+from tests.numerics import assert_exact
 
 
 def grid(
@@ -58,13 +62,89 @@ def test_the_other_side_of_a_gap_does_not_belong_to_it():
     middle = 60
     members, distances, _ = surface.about(middle)
     assert members.max() < 121
-    assert distances.max() < 0.5 + 0.51 * 0.2
+    assert distances.max() < 0.5 + 0.5 * math.hypot(0.2, 0.2)  # cells reach to the middles of edges
     folded = sphere(4)
     flat = make_mesh(folded.positions * [1.0, 1.0, 0.05], folded.faces)
     top = int(np.argmax(flat.positions[:, 2]))
     assert np.all(flat.positions[Surface(flat, 0.5).about(top).members, 2] > 0.0)
     rim = int(np.argmax(flat.positions[:, 0]))
     assert np.ptp(np.sign(flat.positions[Surface(flat, 0.5).about(rim).members, 2])) == 2
+
+
+def test_one_large_face_far_away_joins_nothing():
+    """Two sides of a flat sphere hang together outside of the radius, wherever the mesh has faces of other sizes."""
+    ball = sphere(4)
+    positions = ball.positions * [1.0, 1.0, 0.02]
+    triangle = np.array([[5.0, 0.0, 0.0], [9.0, 0.0, 0.0], [5.0, 4.0, 0.0]]), np.array([[0, 1, 2]])
+    alone, beside = joined((positions, ball.faces)), joined((positions, ball.faces), triangle)
+    away = np.hypot(positions[:, 0], positions[:, 1])
+    vertex = int(np.argmin(np.abs(away - 0.5) + (positions[:, 2] < 0.01)))  # 0.1 of the radius from the rim's reach
+    found, same = Surface(alone, 0.4).about(vertex), Surface(beside, 0.4).about(vertex)
+    assert np.all(positions[found.members, 2] > 0.0)
+    a, b = np.argsort(found.members), np.argsort(same.members)  # the tree may give them in another order
+    assert_exact(found.members[a], same.members[b], "the same vertices")
+    assert_exact(found.areas[a], same.areas[b], "of the same cells")
+
+
+def test_cells_in_a_disc_have_its_area_however_the_plane_is_cut(rng):
+    """π r² in closed form, with points dense at one side and few at the other: triangles far larger than the disc."""
+    dense = rng.uniform([-1.0, -1.0], [0.0, 1.0], size=(400, 2))
+    few = np.array([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0], [0.8, 0.1]])
+    points = np.concatenate([dense, few])
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    mesh = make_mesh(np.pad(points, ((0, 0), (0, 1))) @ turn.T, Delaunay(points).simplices)
+    cells, everywhere = Cells(mesh), np.arange(len(points))
+    for radius in (0.03, 0.4, 3.0):
+        middle = np.array([0.1, 0.2, 0.0]) @ turn.T
+        areas = cells.areas_within(everywhere, middle, radius)
+        # To rounding of the triangles' size squared, 18².
+        assert areas.sum() == pytest.approx(math.pi * radius**2, abs=1e-12)
+        raised = cells.areas_within(everywhere, middle + 0.6 * radius * turn[:, 2], radius)
+        assert raised.sum() == pytest.approx(math.pi * (0.8 * radius) ** 2, abs=1e-12)
+    np.testing.assert_allclose(cells.areas_within(everywhere, np.zeros(3), 99.0), vertex_areas(mesh), rtol=1e-9)
+    assert cells.areas_within(everywhere[:0], np.zeros(3), 1.0).shape == (0,)
+
+
+def test_of_a_face_larger_than_a_neighbourhood_only_what_is_inside_counts():
+    """A fine square in a coarse frame: the disc about a point at its side is π r² with both, half of it is of each."""
+    fine, faces = grid(40)
+    corner = np.array([[1.0, -1.0, 0.0], [21.0, -1.0, 0.0], [21.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    side = np.flatnonzero(fine[:, 0] == 1.0)
+    strip = np.concatenate([fine[side], corner[1:3]])
+    fan = [[i, 41, i + 1] for i in range(40)] + [[40, 41, 42]]
+    mesh = joined((fine, faces), (strip, np.array(fan)))
+    vertex = int(np.argmin(np.linalg.norm(mesh.positions - [1.0, 0.0, 0.0], axis=1)))
+    about = Surface(mesh, 0.3).about(vertex)
+    assert about.areas.sum() == pytest.approx(math.pi * 0.09, rel=1e-9)
+    assert about.areas[about.members >= len(fine)].sum() == pytest.approx(math.pi * 0.045, rel=1e-9)
+
+
+def test_copies_of_two_sides_are_told_apart_in_any_order():
+    """A sheet with two sides and a seam, halves left up, left down, right up, right down: a side holds together."""
+
+    def half(sign: float, tip: float) -> tuple[np.ndarray, np.ndarray]:
+        positions, faces = grid(10, tip=(0.0, 0.0, tip))
+        faces = faces[np.all(sign * positions[faces][:, :, 0] >= -1e-12, axis=1)]
+        used, numbers = np.unique(faces, return_inverse=True)
+        return positions[used], numbers.reshape(faces.shape)
+
+    halves = {(sign, tip): half(sign, tip) for sign in (-1.0, 1.0) for tip in (1.0, -1.0)}
+    for order in permutations(halves):
+        sheet = joined(*(halves[key] for key in order))
+        pairs = copies_at_one_place(sheet.receivers)
+        assert len(pairs) == 22
+        np.testing.assert_allclose(sheet.normals[pairs[:, 0]], sheet.normals[pairs[:, 1]], rtol=0.0, atol=0.0)
+    vertex = int(np.argmin(np.linalg.norm(sheet.positions - [-0.2, 0.0, 0.0], axis=1)))
+    assert Surface(sheet, 0.5).about(vertex).areas.sum() == pytest.approx(math.pi * 0.25, rel=1e-9)
+
+
+def test_unused_copies_do_not_come_between_those_that_are_used():
+    positions, faces = grid(2)
+    shared = positions[positions[:, 0] == 1.0]
+    other = positions + [2.0, 0.0, 0.0]
+    mesh = joined((positions, faces), (shared, np.zeros((0, 3), dtype=int)), (other, faces))
+    pairs = copies_at_one_place(mesh.receivers)
+    assert {tuple(pair) for pair in pairs.tolist()} == {(2, 12), (5, 15), (8, 18)}
 
 
 def test_hard_edges_hold_together_and_two_sides_of_a_sheet_do_not():
@@ -99,3 +179,14 @@ def test_what_no_face_uses_is_in_no_neighbourhood():
     surface = Surface(mesh, 1.0)
     assert 25 not in surface.about(12).members
     assert 25 not in list(surface.spread_order())
+
+
+def test_faces_without_area_count_for_nothing():
+    """Two squares with a face of no area between them: of a disc between two lines the part is in closed form."""
+    positions = np.array([[x, y, 0.0] for y in (0.0, 1.0) for x in (0.0, 1.0, 2.0)] + [[1.0, 0.5, 0.0]])
+    faces = np.array([[0, 1, 4], [0, 4, 3], [1, 6, 4], [1, 2, 5], [1, 5, 4]])
+    cells, middle = Cells(make_mesh(positions, faces)), np.array([1.0, 0.5, 0.0])
+    areas = cells.areas_within(np.arange(7), middle, 1.0)
+    assert areas.sum() == pytest.approx(2.0 * (0.5 * math.sqrt(0.75) + math.asin(0.5)), rel=1e-12)
+    assert areas[6] == 0.0
+    assert np.isfinite(Surface(make_mesh(positions, faces), 0.6).about(1).areas).all()
