@@ -129,9 +129,14 @@ def _note_unused(given: list[str], names: tuple[str, ...], where: str) -> None:
 
 def _in_words(result: EffectiveDimension, two_sided: bool) -> str:
     low, middle, high = (math.ceil(result.quantile(part)) for part in (0.05, 0.5, 0.95))
-    return (
+    what = (
         f"effective dimension of transport over neighbourhoods of {100.0 * result.neighbourhood:.3g} % of the model's "
-        f"size, error {100.0 * result.error:.3g} %: median {middle} of {result.functions} "
+        f"size, error {100.0 * result.error:.3g} %"
+    )
+    if middle == 0:
+        return f"{what}: none, no light arrives anywhere"
+    return (
+        f"{what}: median {middle} of {result.functions} "
         f"(coherence {1.0 - middle / result.functions:.2f}), 5 % of the surface at most {low}, 5 % at least {high}"
         f"{'; of what has two sides fronts alone count' if two_sided else ''}"
     )

@@ -2,6 +2,7 @@
 
 import io
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -270,3 +271,15 @@ def test_colours_are_those_of_the_scale(tmp_path):
     assert pixels[32, 32, 3] == 1.0
     # ln 4 is half of ln 16: the middle of viridis, #21918c. The middle ray is half a pixel off, cos of 0.3 degrees.
     np.testing.assert_allclose(pixels[32, 32, :3], np.array([0x21, 0x91, 0x8C]) / 255.0, atol=1.5 / 255.0)
+
+
+def test_a_model_that_no_light_reaches(transfer, tmp_path, capsys):
+    """It has no dimension, which is not full coherence; grey is said to be what it is."""
+    from slepian_prt.evaluation.dimension.picture import describe_scale
+
+    dark = replace(transfer, vectors=np.zeros_like(transfer.vectors))
+    dark.save(tmp_path / "dark.npz")
+    out, _ = run(capsys, tmp_path / "dark.npz", "-o", tmp_path / "d.npz", "--neighbourhood", 0.2)
+    assert out.endswith("error 5 %: none, no light arrives anywhere\n")
+    assert describe_scale(effective_dimension(dark, neighbourhood=0.2)).endswith("; grey: no light")
+    assert "grey" not in describe_scale(effective_dimension(transfer, neighbourhood=0.2))

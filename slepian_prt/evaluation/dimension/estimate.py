@@ -25,8 +25,8 @@ from slepian_prt.transport.transfer import Transfer
 SMALLEST_ERROR = 1e-5
 
 # Neighbourhoods are taken about vertices so far apart, in radii, and what is between them is interpolated from those
-# no further away than the second number times that. Half of all vertices are then within 1.5 % of what their own
-# neighbourhood has, 6 to 10 % RMS on scans, where what hangs together changes at once (`scripts/benchmark dimension`).
+# no further away than the second number times that. Half of all vertices are then within 1.6 % of what their own
+# neighbourhood has, 9 % RMS on scans, where what hangs together changes at once (`scripts/benchmark dimension`).
 # With a third instead of a quarter it is 8 to 12 %, in 0.6 of the time.
 _SPACING = 1.0 / 4.0
 _BLEND = 1.5
@@ -46,7 +46,7 @@ class EffectiveDimension(Summarised):
     ----------
     dimension : (V,)
         K, not rounded, at least 1; zero where no light arrives. Interpolated between neighbourhoods: rounded up it is
-        the number of functions at those that it was computed at, and at others within some per cent of it.
+        near the smallest number of functions of the neighbourhood of each vertex, but need not be that.
     functions : int
         M = (L+1)², of how many.
     error : float

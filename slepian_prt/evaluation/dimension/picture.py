@@ -205,8 +205,9 @@ def draw_bar(axis: Any, scale: ColourScale, ink: str, text: float, width: float)
 
 
 def describe_scale(result: EffectiveDimension) -> str:
-    """What is counted, in a line."""
+    """What is counted, in a line, and what grey is where there is some."""
+    dark = bool(np.any((result.dimension == 0.0) & (result.areas > 0.0)))
     return (
         f"functions of {result.functions}, error {100.0 * result.error:.3g} %, "
-        f"over radii of {100.0 * result.neighbourhood:.3g} % of the model's size"
+        f"over radii of {100.0 * result.neighbourhood:.3g} % of the model's size{'; grey: no light' if dark else ''}"
     )
