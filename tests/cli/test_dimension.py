@@ -283,3 +283,16 @@ def test_a_model_that_no_light_reaches(transfer, tmp_path, capsys):
     assert out.endswith("error 5 %: none, no light arrives anywhere\n")
     assert describe_scale(effective_dimension(dark, neighbourhood=0.2)).endswith("; grey: no light")
     assert "grey" not in describe_scale(effective_dimension(transfer, neighbourhood=0.2))
+
+
+def test_a_mesh_that_the_scene_reads_is_not_overwritten(folder, tmp_path, capsys):
+    (tmp_path / "ball.ply").write_bytes((folder / "bumpy.ply").read_bytes())
+    shape = '<shape type="ply"><string name="filename" value="ball.ply"/></shape>'
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+    assert main(["dimension", str(tmp_path / "scene.xml"), "-o", str(tmp_path / "ball.ply")]) == 2
+    assert "is the input" in capsys.readouterr().err
+    assert_exact(
+        np.frombuffer((tmp_path / "ball.ply").read_bytes(), np.uint8),
+        np.frombuffer((folder / "bumpy.ply").read_bytes(), np.uint8),
+        "nothing is written",
+    )
