@@ -7,6 +7,7 @@ import math
 import operator
 from collections.abc import Callable, Iterable
 from pathlib import PurePath
+from textwrap import shorten
 from typing import Any
 
 
@@ -80,7 +81,7 @@ def check_real(value: Any, name: str, interval: str, inside: Callable[[float], b
     except (TypeError, ValueError, OverflowError):
         pass
     if not inside(number):
-        raise UserError(f"{name} must be a number in {interval}, not {value!r}")
+        raise UserError(f"{name} must be a number in {interval}, not {shorten(repr(value), 80)}")
     return number
 
 

@@ -1,12 +1,13 @@
 """What is no transfer is told in one line, wherever one is wanted."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import slepian_prt as sp
-from slepian_prt.errors import check_choice
+from slepian_prt.errors import check_choice, check_real
 
 LIGHT = np.zeros((3, 4))
 WANT_TRANSFER = {
@@ -23,7 +24,7 @@ WANT_TRANSFER = {
 
 
 @pytest.mark.parametrize("name", WANT_TRANSFER)
-@pytest.mark.parametrize("given", ["scan.prt", 3, None])
+@pytest.mark.parametrize("given", ["scan.prt", Path("scan.prt"), 3, None, np.zeros((4, 1, 9))], ids=type)
 def test_what_is_no_transfer(name, given, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(sp.UserError, match=r"transfer|CompressedTransfer") as told:
@@ -41,3 +42,8 @@ def test_a_path_is_told_what_to_do():
 def test_names_that_are_nearly_right(given, told):
     with pytest.raises(sp.UserError, match=f"{re.escape(told)}$"):
         check_choice(given, "window", ("hann", "lanczos"))
+
+
+def test_values_are_told_in_one_short_line():
+    with pytest.raises(sp.UserError, match=r"^part must be a number in \[0, 1\], not .{1,80}$"):
+        check_real(np.linspace(0.0, 1.0, 99), "part", "[0, 1]", lambda x: 0.0 <= x <= 1.0)

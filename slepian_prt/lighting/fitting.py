@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.errors import UserError
-from slepian_prt.sphere.harmonics import bandlimit_of, num_coefficients
+from slepian_prt.sphere.conventions.layouts import cut_or_filled
+from slepian_prt.sphere.harmonics import bandlimit_of
 
 log = logging.getLogger(__name__)
 
@@ -48,14 +49,11 @@ def fit_lighting(lighting: NDArray, bandlimit: int, of: str = "the transfer") ->
 
     The remark says ``of`` what that bandlimit is.
     """
-    given, size = bandlimit_of(lighting.shape[-1]), num_coefficients(bandlimit)
+    given = bandlimit_of(lighting.shape[-1])
     if given == bandlimit:
         return lighting
     _remark(given, bandlimit, of)
-    fitted = np.zeros((*lighting.shape[:-1], size), dtype=lighting.dtype)
-    kept = min(size, lighting.shape[-1])
-    fitted[..., :kept] = lighting[..., :kept]
-    return fitted
+    return cut_or_filled(lighting, bandlimit)
 
 
 def one_light(lighting: ArrayLike, bandlimit: int, of: str = "the transfer") -> NDArray:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import check_epsilon
 from slepian_prt.slepian.concentration import cap_basis
-from slepian_prt.slepian.shannon import concentration_count
+from slepian_prt.slepian.shannon import concentration_count, count_above
 from slepian_prt.sphere.caps import cap_area
 
 # Concentration down to which functions count, where nothing else is said.
@@ -112,4 +112,4 @@ def count_concentrations(bandlimit: int, half_angle: float, epsilon: float = EPS
     epsilon = check_epsilon(epsilon)
     with threadpool_limits(1, "blas"):
         energies = cap_basis(bandlimit, half_angle, kernel=np.ones(bandlimit + 1)).eigenvalues
-    return int(np.count_nonzero(energies * cap_area(half_angle) > epsilon))
+    return count_above(energies * cap_area(half_angle), epsilon)

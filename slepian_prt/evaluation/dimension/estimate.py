@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
-from textwrap import shorten
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, check_real, check_transfer
 from slepian_prt.evaluation.dimension.neighbourhoods import Neighbourhood, Surface
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
@@ -27,7 +25,6 @@ SMALLEST_ERROR = 1e-5
 # Neighbourhoods are taken about vertices so far apart, in radii, and what is between them is interpolated from those
 # no further away than the second number times that. Half of all vertices are then within 1.6 % of what their own
 # neighbourhood has, 9 % RMS on scans, where what hangs together changes at once (`scripts/benchmark dimension`).
-# With a third instead of a quarter it is 8 to 12 %, in 0.6 of the time.
 _SPACING = 1.0 / 4.0
 _BLEND = 1.5
 
@@ -88,7 +85,7 @@ class EffectiveDimension(Summarised):
         UserError
             A part out of that range.
         """
-        part = _check_part(part)
+        part = check_real(part, "part", "[0, 1]", lambda x: 0.0 <= x <= 1.0)
         lit = (self.dimension > 0.0) & (self.areas > 0.0)
         if not lit.any():
             return 0.0
@@ -150,12 +147,7 @@ def effective_dimension(
         Pixels of a camera instead of a surface, or no transfer at all; vectors that are not finite; a number out of its
         range.
     """
-    if not isinstance(transfer, Transfer | CompressedTransfer):
-        given = repr(str(transfer)) if isinstance(transfer, str | os.PathLike) else f"a {type(transfer).__name__}"
-        raise UserError(
-            f"transfer must be a Transfer or a CompressedTransfer, not {given}; give sp.load(path) or "
-            "sp.precompute(path)"
-        )
+    check_transfer(transfer)
     error, neighbourhood = check_error(error), check_neighbourhood(neighbourhood)
     if transfer.film is not None:
         raise UserError(
@@ -275,29 +267,9 @@ def _check_finite(vectors: NDArray, active: NDArray[np.bool_]) -> None:
 
 def check_error(error: float) -> float:
     """Return it as a float; raise UserError outside of [1e-5, 1)."""
-    number = _real(error)
-    if not SMALLEST_ERROR <= number < 1.0:
-        raise UserError(f"error must be a number in [{SMALLEST_ERROR:g}, 1), not {error!r}")
-    return number
+    return check_real(error, "error", f"[{SMALLEST_ERROR:g}, 1)", lambda x: SMALLEST_ERROR <= x < 1.0)
 
 
 def check_neighbourhood(neighbourhood: float) -> float:
     """Return it as a float; raise UserError outside of (0, 1]."""
-    number = _real(neighbourhood)
-    if not 0.0 < number <= 1.0:
-        raise UserError(f"neighbourhood must be a number in (0, 1], a part of the model's size, not {neighbourhood!r}")
-    return number
-
-
-def _check_part(part: float) -> float:
-    number = _real(part)
-    if not 0.0 <= number <= 1.0:
-        raise UserError(f"part must be a number in [0, 1], not {shorten(repr(part), 80)}")
-    return number
-
-
-def _real(value: object) -> float:
-    try:
-        return float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return math.nan
+    return check_real(neighbourhood, "neighbourhood", "(0, 1], a part of the model's size", lambda x: 0.0 < x <= 1.0)

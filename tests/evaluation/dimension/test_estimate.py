@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -337,15 +336,6 @@ def test_parts_of_a_surface_that_are_none(part):
     result = EffectiveDimension(np.array([1.0, 4.0]), 25, 0.05, 1.0, 0.1, np.array([1.0, 2.0]), 3)
     with pytest.raises(sp.UserError, match=r"^part must be a number in \[0, 1\], not .{1,80}$"):
         result.quantile(part)
-
-
-@pytest.mark.parametrize("transfer", ["sheet.ply", Path("sheet.prt"), None, np.zeros((4, 1, 9))], ids=type)
-def test_what_is_no_transfer(transfer):
-    with pytest.raises(sp.UserError) as told:
-        effective_dimension(transfer)
-    assert str(told.value).startswith("transfer must be a Transfer or a CompressedTransfer, not ")
-    assert str(told.value).endswith("; give sp.load(path) or sp.precompute(path)")
-    assert "\n" not in str(told.value)
 
 
 @pytest.mark.parametrize("error", [0.0, 1.0, -0.1, 1e-6, math.nan, "much", None])
