@@ -13,7 +13,7 @@ PACKAGE = Path(slepian_prt.__file__).parent
 # Each layer imports those before it; the modules beside the layers know nothing but each other.
 BESIDE = ("errors", "files", "summary", "examples")
 LAYERS = (
-    "sphere", "slepian", "renderer", "distributed", "lighting", "scene", "paths", "transport", "compression",
+    "sphere", "slepian", "machine", "renderer", "distributed", "lighting", "scene", "paths", "transport", "compression",
     "relighting", "runtime", "export", "viewer",
     "evaluation", "accuracy", "datasets", "cli",
 )  # fmt: skip
