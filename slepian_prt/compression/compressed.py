@@ -282,6 +282,11 @@ class CompressedTransfer(Summarised):
         Returns
         -------
         (V, channels, (L+1)²) float32, as `Transfer.vectors` are
+
+        Raises
+        ------
+        UserError
+            A vertex that is not there.
         """
         from slepian_prt.compression.decoder import reconstruct
 

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
+from slepian_prt.arrays import whole_numbers
 from slepian_prt.compression.blocks import pieces_of
 from slepian_prt.compression.codec.caps import Coded, DecodedCap, decode_caps
 from slepian_prt.compression.codec.surface import surface_of
@@ -108,7 +109,7 @@ def forget(packed: CompressedTransfer) -> None:
 def reconstruct(packed: CompressedTransfer, vertices: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
     """Transfer vectors as the file has them; see `CompressedTransfer.reconstruct`."""
     receivers, clusters = packed.mesh.receivers, packed.clusters
-    wanted = np.arange(len(receivers)) if vertices is None else np.asarray(vertices)
+    wanted = np.arange(len(receivers)) if vertices is None else _some_of(vertices, len(receivers))
     vectors = np.zeros((wanted.size, packed.channels, num_coefficients(packed.bandlimit)), dtype=np.float32)
     mixing = channel_mixing(packed.channels)
     known = _decoded.get(packed)
@@ -126,6 +127,15 @@ def reconstruct(packed: CompressedTransfer, vertices: NDArray[np.integer] | None
             mixed[:, 0] += packed.mean.vectors(packed.normals[wanted[rows]], int(clusters.occlusion_classes[c]))
         vectors[rows] = mixed if packed.channels == 1 else np.einsum("dc,ndm->ncm", mixing, mixed)
     return vectors
+
+
+def _some_of(vertices: ArrayLike, count: int) -> NDArray[np.int64]:
+    wanted = whole_numbers(vertices, "vertices")
+    if np.asarray(vertices).dtype.kind == "b":
+        raise UserError("vertices must be their numbers, not which of them; give numpy.flatnonzero of it")
+    if wanted.ndim != 1 or wanted.min(initial=0) < 0 or wanted.max(initial=0) >= count:
+        raise UserError(f"vertices must be a list of numbers from 0 to {count - 1}, those of the transfer's vertices")
+    return wanted
 
 
 def coded_along_principal_axes(packed: CompressedTransfer) -> tuple[bool, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,11 +18,12 @@ from slepian_prt.compression.codec.caps import Coded, DecodedCap, Tuning
 from slepian_prt.compression.codec.prediction import LARGEST_MULTIPLE
 from slepian_prt.compression.codec.tuning import next_step
 from slepian_prt.compression.learning import LearnedBases
-from slepian_prt.compression.linear_basis import LinearBasis
+from slepian_prt.compression.linear_basis import LinearBasis, in_float16, in_range_of_float16
 from slepian_prt.compression.pilot import MeanTransfer
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.projection import Projection, count_by_rule
 from slepian_prt.compression.refinement import refine
+from slepian_prt.errors import UserError
 
 # With a given number of functions, rounding may add this part to the squared error of leaving out the others.
 _ROUNDING_SHARE = 0.1
@@ -109,13 +110,13 @@ def encode(
         return _encode_coded(projection, blocks, make_coder(projection, blocks, keep_decoded), warm_start)
     if settings.refine:
         return _encode_refined(projection, blocks)
-    kind = np.dtype(settings.resolved_coding)
+    coding = settings.resolved_coding
     return _encoding(
         projection,
         projection.bases,
         expected=expect(projection.learned, _lost(projection)),
         terms=_mean_terms(projection.learned, projection.bases),
-        coefficients=tuple(blocks.coefficients(c).astype(kind) for c in range(len(projection.bases))),
+        coefficients=_plain(map(blocks.coefficients, range(len(projection.bases))), coding),
     )
 
 
@@ -132,6 +133,18 @@ def _encoding(projection: Projection, bases: tuple[LinearBasis, ...], **fields: 
     )
 
 
+def _plain(caps: Iterable[NDArray], coding: str) -> tuple[NDArray, ...]:
+    """Coefficients of each cap in float16 or float32."""
+    kept, largest = [], 0.0
+    for coefficients in caps:
+        largest = max(largest, float(np.abs(coefficients).max(initial=0.0)))
+        with np.errstate(over="ignore"):  # told below
+            kept.append(coefficients.astype(coding))
+    if coding == "float16" and not in_range_of_float16(largest):
+        raise UserError(f"coefficients of {largest:.3g} do not fit `coding=float16`; choose `coding=float32`")
+    return tuple(kept)
+
+
 def _encode_refined(projection: Projection, blocks: ProjectedCaps) -> Encoding:
     """Mean and principal axes of the coefficients of each cap, uncoded."""
     learned = projection.learned
@@ -144,15 +157,18 @@ def _encode_refined(projection: Projection, blocks: ProjectedCaps) -> Encoding:
     bases = tuple(candidate.cut(int(k)) for candidate, k in zip(candidates, counts, strict=True))
     coding = learned.settings.resolved_coding
     if coding == "float16":
-        bases = tuple(basis.as_float16() for basis in bases)
+        bases = in_float16(bases)
     return _encoding(
         projection,
         bases,
         expected=expect(learned, [c.lost(int(k)) for c, k in zip(candidates, counts, strict=True)]),
         terms=_mean_terms(learned, bases),
-        coefficients=tuple(
-            part.coefficients(blocks.coefficients(c), basis.count).astype(coding)
-            for c, (part, basis) in enumerate(zip(refined, bases, strict=True))
+        coefficients=_plain(
+            (
+                part.coefficients(blocks.coefficients(c), basis.count)
+                for c, (part, basis) in enumerate(zip(refined, bases, strict=True))
+            ),
+            coding,
         ),
     )
 

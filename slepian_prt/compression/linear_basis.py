@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from slepian_prt.slepian.concentration import scatter_radial
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
+
+# float16 is within 2⁻¹¹ of what it rounds, relatively, or 2⁻²⁵; above the second of these it has no numbers.
+_FAINTEST, _BRIGHTEST = 2.0**-10, 65504.0
 
 
 @dataclass(frozen=True)
@@ -94,12 +98,6 @@ class LinearBasis:
             known_functions=self.functions[:count],  # Gram-Schmidt went in order
         )
 
-    def as_float16(self) -> LinearBasis:
-        """The basis with all that is stored of it in float16."""
-        parts = (None if part is None else part.astype(np.float16) for part in (self.radial, self.dense, self.mean))
-        radial, dense, mean = parts
-        return replace(self, radial=radial, dense=dense, mean=mean, known_functions=None)
-
     def project(self, vectors: NDArray) -> NDArray[np.float32]:
         """(n, K channels) coefficients of transfer vectors (n, channels, (L+1)²); those of one function together."""
         centred = vectors if self.mean is None else vectors - self.mean
@@ -116,6 +114,25 @@ class LinearBasis:
             n, channels, num_coefficients(self.bandlimit)
         )
         return vectors if self.mean is None else vectors + self.mean
+
+
+def in_range_of_float16(largest: float) -> bool:
+    """Whether numbers, the largest of which has this magnitude, keep some three digits in float16."""
+    return largest == 0.0 or _FAINTEST <= largest <= _BRIGHTEST
+
+
+def in_float16(bases: Sequence[LinearBasis]) -> tuple[LinearBasis, ...]:
+    """Bases of all caps with what is stored of them in float16, but for means that are too large or small for it."""
+    means = [float(np.abs(basis.mean).max(initial=0.0)) for basis in bases if basis.mean is not None]
+    names = ("radial", "dense", "mean") if in_range_of_float16(max(means, default=0.0)) else ("radial", "dense")
+    return tuple(
+        replace(
+            basis,
+            known_functions=None,
+            **{name: part.astype(np.float16) for name in names if (part := getattr(basis, name)) is not None},
+        )
+        for basis in bases
+    )
 
 
 def orthonormal_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:

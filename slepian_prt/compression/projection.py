@@ -15,7 +15,7 @@ from slepian_prt.compression.blocks import CapBlocks, ProjectedCaps, pieces_of
 from slepian_prt.compression.checkpoint import Block, BlockStatistics, MemoryStore, Store
 from slepian_prt.compression.device_projection import can_project_on_device, project_on_device
 from slepian_prt.compression.learning import LearnedBases
-from slepian_prt.compression.linear_basis import LinearBasis
+from slepian_prt.compression.linear_basis import LinearBasis, in_float16
 from slepian_prt.compression.pilot import decorrelate
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.transport.device.projection import DeviceBlock
@@ -118,7 +118,7 @@ def choose_projection(learned: LearnedBases, widening: int = 1) -> Projection:
     settings = learned.settings
     coded = settings.resolved_coding == "coded"
     if settings.resolved_coding != "float32" and not (coded and settings.resolved_tolerance < _FINE):
-        bases = tuple(basis.as_float16() for basis in bases)
+        bases = in_float16(bases)
     if coded and bases:
         wider = learned.widest.get(_formats(bases[0]))
         if wider is not None and all(w.count >= basis.count for w, basis in zip(wider, bases, strict=True)):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.compression import truncation
 from slepian_prt.compression.bases import BASES
 from slepian_prt.compression.prediction import Expectation
@@ -132,9 +133,10 @@ class CompressionSettings:
                 raise UserError(f"light_prior must come from falling_prior or measured_prior, not {self.light_prior!r}")
             if self.needs_all_vectors or self.basis == "none":
                 raise UserError(f"`light_prior` has no effect on basis {self.basis}; leave it out")
-            if len(self.light_prior.weights) != bandlimit + 1:
-                raise UserError(
-                    f"light_prior must be made for bandlimit {bandlimit}, not {len(self.light_prior.weights) - 1}"
-                )
+            weights = real_numbers(self.light_prior.weights, "weights of `light_prior`")
+            if not np.all((weights > 0.0) & (weights <= 1.0)):
+                raise UserError("weights of `light_prior` must lie in (0, 1]; make it with falling_prior")
+            if weights.shape != (bandlimit + 1,):
+                raise UserError(f"light_prior must be made for bandlimit {bandlimit}, not {weights.size - 1}")
         if self.refine and (self.needs_all_vectors or self.basis == "none"):
             raise UserError(f"`refine` has no effect on basis {self.basis}; leave it out")

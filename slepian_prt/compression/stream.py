@@ -32,6 +32,7 @@ from slepian_prt.errors import check_transfer
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
 from slepian_prt.transport.by_workers.scene import by_workers
+from slepian_prt.transport.checks import check_axes, check_vectors
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.estimator import Estimator, TransferBlock
 from slepian_prt.transport.planned import PlannedScene, plan_scene
@@ -117,9 +118,12 @@ def compress(
     Raises
     ------
     UserError
-        An unknown name, a number outside its range, or options that exclude each other.
+        An unknown name, a number outside its range, or options that exclude each other; vectors that are not finite, of
+        another shape, or beyond 1e±12.
     """
     check_transfer(transfer)
+    check_vectors(transfer)
+    check_axes(transfer)
     settings = CompressionSettings(
         basis=basis,
         tolerance=tolerance,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, check_real
 from slepian_prt.lighting.map_files import file_rows
 from slepian_prt.lighting.map_rows import Checked, Rows, array_rows
 from slepian_prt.summary import Summarised
@@ -57,8 +57,7 @@ class Environment(Summarised):
 
 def about_up(degrees: float) -> NDArray[np.float64]:
     """Rotation matrix about y by an angle in degrees, counter-clockwise seen from above."""
-    if not math.isfinite(degrees):
-        raise UserError(f"rotation must be a finite number of degrees, not {degrees!r}")
+    degrees = check_real(degrees, "rotation", "degrees", math.isfinite)
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 

@@ -15,6 +15,7 @@ from contextvars import ContextVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.errors import UserError
 from slepian_prt.sphere.conventions.layouts import cut_or_filled
 from slepian_prt.sphere.harmonics import bandlimit_of
@@ -64,17 +65,30 @@ def one_light(lighting: ArrayLike, bandlimit: int, of: str = "the transfer") -> 
     UserError
         Of another shape, not real, not finite, or too large.
     """
-    values = np.asarray(lighting)
+    values = real_numbers(lighting, "lighting")
     if values.ndim != 2 or not is_lighting(values.shape):
         raise UserError(f"lighting must have shape (3, n²), n² harmonics in red, green and blue, not {values.shape}")
     check_lighting(values)
     return fit_lighting(values, bandlimit, of)
 
 
+def lights_of(lighting: ArrayLike, bandlimit: int) -> NDArray:
+    """Coefficients (…, n²) of any number of lights or channels at a bandlimit, as `fit_lighting` has them.
+
+    Raises
+    ------
+    UserError
+        Of another shape, not real, not finite, or too large.
+    """
+    values = real_numbers(lighting, "lighting")
+    if values.ndim == 0 or values.size == 0 or math.isqrt(values.shape[-1]) ** 2 != values.shape[-1]:
+        raise UserError(f"lighting must have shape (3, n²), n² harmonics in red, green and blue, not {values.shape}")
+    check_lighting(values)
+    return fit_lighting(values, bandlimit)
+
+
 def check_lighting(values: NDArray) -> None:
-    """Raise UserError for coefficients that are not real numbers, not finite, or of no light that there is."""
-    if values.dtype.kind not in "biuf":
-        raise UserError(f"lighting must be real numbers, not {values.dtype}")
+    """Raise UserError for coefficients that are not finite, or of no light that there is."""
     if not np.isfinite(values).all():
         raise UserError("lighting must be finite; check the map that it was projected from")
     if values.size and max(float(values.max()), -float(values.min())) > LARGEST:

@@ -114,7 +114,7 @@ def lamp_scales(fixed: FixedLights | None, fixed_lights: float | Mapping[str, fl
 def _checked(scale: object, of: str) -> float:
     try:
         number = float(scale)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not 0.0 <= number < math.inf:
         raise UserError(f"`fixed_lights`{of} must be a finite number from 0 on, not {scale!r}")

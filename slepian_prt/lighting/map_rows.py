@@ -132,7 +132,7 @@ class Checked:
     def _check_finite(self, block: NDArray[np.float32], first: int) -> None:
         """Raise UserError for texels of a block, which begins at row ``first``, that no calculation can follow."""
         peak = max(float(block.max(initial=0.0)), -float(block.min(initial=0.0)))
-        if peak <= BRIGHTEST:  # false for NaN
+        if peak <= np.float32(BRIGHTEST):  # as it compares below; false for NaN
             return
         finite = np.isfinite(block).all(axis=2)
         wrong = ~finite if not finite.all() else (np.abs(block) > BRIGHTEST).any(axis=2)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.errors import UserError, check_bandlimit
 from slepian_prt.lighting.emitters import SkyEnvironment, project_emitter
 from slepian_prt.lighting.environment import Environment, about_up, checked_environment
@@ -125,14 +127,9 @@ def lighting_at(
     bandlimit = check_bandlimit(bandlimit)
     if isinstance(light, str | Path | Environment) or hasattr(light, "is_environment"):
         return project_checked(light, bandlimit, clamp_negative=clamp_negative, fitted_to="the transfer")[0]
-    try:
-        values = np.asarray(light)
-        if values.dtype.kind != "c":  # which NumPy would make real by leaving out a part
-            values = values.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
-        raise UserError(
-            f"light must be a path, an Environment, an array or an emitter, not {type(light).__name__}"
-        ) from None
+    if not isinstance(light, Sequence | np.ndarray | np.generic):
+        raise UserError(f"light must be a path, an Environment, an array or an emitter, not {type(light).__name__}")
+    values = real_numbers(light, "lighting")
     if is_lighting(values.shape):
         check_lighting(values)
         return np.asarray(fit_lighting(values, bandlimit))
@@ -154,10 +151,7 @@ def rotation_matrix(rotate: float | ArrayLike) -> NDArray[np.float64]:
     """
     if hasattr(rotate, "matrix"):  # a transform of Mitsuba
         rotate = np.array(rotate.matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
-    try:
-        matrix = np.asarray(rotate, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise UserError(f"rotation must be a number of degrees or a (3, 3) matrix, not {rotate!r}") from None
+    matrix = real_numbers(rotate, "rotation")
     if matrix.ndim == 0:
         return about_up(float(matrix))
     if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)):

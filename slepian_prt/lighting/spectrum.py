@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError
-from slepian_prt.lighting.fitting import check_lighting, each_remark_once, fit_lighting, one_light
+from slepian_prt.errors import UserError, check_bandlimit
+from slepian_prt.lighting.fitting import each_remark_once, lights_of, one_light
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees
 
 FALLING = "1/(l+1)"
@@ -48,16 +48,14 @@ def light_power(lighting: ArrayLike) -> NDArray[np.float64]:
 
 def falling_prior(bandlimit: int) -> LightPrior:
     """Weights 1/(l+1): skies and overcast light, without suns or lamps."""
-    return LightPrior(FALLING, 1.0 / np.arange(1.0, bandlimit + 2.0))
+    return LightPrior(FALLING, 1.0 / np.arange(1.0, check_bandlimit(bandlimit) + 2.0))
 
 
 def expected_power(lighting: ArrayLike | None, bandlimit: int) -> NDArray[np.float64]:
     """(L+1,) power per harmonic of lighting (…, n²) at a bandlimit; without one, of light that falls as 1/(l+1)²."""
     if lighting is None:
         return falling_prior(bandlimit).weights ** 2
-    values = np.asarray(lighting)
-    check_lighting(values)
-    return light_power(fit_lighting(values, bandlimit))
+    return light_power(lights_of(lighting, bandlimit))
 
 
 @each_remark_once()

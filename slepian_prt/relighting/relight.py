@@ -19,6 +19,7 @@ from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh
+from slepian_prt.transport.checks import check_finite
 
 if TYPE_CHECKING:
     from slepian_prt.transport.transfer import Transfer
@@ -63,7 +64,8 @@ def relight(
     Raises
     ------
     UserError
-        Lighting of no such shape, or not finite; a map that cannot be used; no light at all; a lamp that is not there.
+        Lighting of no such shape, or not finite; a map that cannot be used; no light at all; a lamp that is not there;
+        transfer vectors that are not finite.
     """
     check_transfer(transfer)
     fixed = transfer.fixed
@@ -83,7 +85,11 @@ def relight(
     if isinstance(transfer, CompressedTransfer):
         radiance = transfer_operator(transfer).apply(several)
     else:
-        radiance = _apply_vectors(transfer.vectors, several.astype(np.float32))
+        with np.errstate(over="ignore", invalid="ignore"):  # told below
+            radiance = _apply_vectors(transfer.vectors, several.astype(np.float32))
+        if not np.isfinite(radiance).all():  # of far fewer numbers than the vectors have
+            check_finite(transfer.vectors)
+            raise UserError("the radiance is beyond what float32 holds; scale the lighting down")
     if fixed is not None and scales.any():
         radiance += fixed.radiance(scales)
     albedo = transfer.mesh.receivers.albedo

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_readable
 from slepian_prt.renderer.variants import mitsuba
@@ -223,7 +224,7 @@ def _told_of_steps(scene: Scene) -> Scene:
 
 
 def _constant_albedo(albedo: ArrayLike, count: int) -> Any:
-    values = np.asarray(albedo, dtype=np.float64).ravel()
+    values = real_numbers(albedo, "albedo").ravel()
     if values.size not in (1, 3) or not np.all(np.isfinite(values)) or values.min() < 0.0 or values.max() > 1.0:
         raise UserError(f"albedo must be one or three numbers between 0 and 1, not {albedo!r}")
     return np.broadcast_to(values.astype(np.float32), (count, 3)).copy()

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.arrays import real_numbers, whole_numbers
 from slepian_prt.errors import UserError
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.normals import are_normals, complete_normals, split_at_creases
@@ -143,8 +144,8 @@ def complete_mesh(
 ) -> Mesh:
     """As `make_mesh`."""
     origin = details.origin
-    p = np.array(positions, dtype=np.float64, ndmin=2)
-    f = np.array(faces, dtype=np.int64, ndmin=2)
+    p = np.atleast_2d(real_numbers(positions, f"{origin}: positions", copy=True))
+    f = np.atleast_2d(whole_numbers(faces, f"{origin}: faces"))
     check_geometry(p, f, origin)
     notes: list[str] = []
     f = _without_degenerate(p, f, notes)
@@ -152,7 +153,7 @@ def complete_mesh(
         raise UserError(f"{origin}: every face has zero area; export the mesh again")
     _remark_on_winding(f, notes)
     given, groups, source = _fitting(normals, p, notes), details.groups, details.source
-    colour = np.broadcast_to(np.asarray(albedo, dtype=np.float32), (len(p), 3))
+    colour = np.broadcast_to(real_numbers(albedo, f"{origin}: albedo").astype(np.float32), (len(p), 3))
     if details.crease_angle < 180.0:
         known = None if given is None else are_normals(given)
         places = np.arange(len(p)) if groups is None else groups
@@ -215,7 +216,7 @@ def _fitting(normals: ArrayLike | None, positions: NDArray, notes: list[str]) ->
     """The normals given, if there is one for each vertex."""
     if normals is None:
         return None
-    given = np.array(normals, dtype=np.float64)
+    given = real_numbers(normals, "normals", copy=True)
     if given.shape == positions.shape:
         return given
     notes.append(f"normals of shape {given.shape} do not fit the vertices; computed from the faces")

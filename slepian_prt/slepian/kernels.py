@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.errors import UserError, check_bandlimit, check_real
 from slepian_prt.sphere.harmonics import bandlimit_of, degrees, num_coefficients, real_sh
 from slepian_prt.sphere.quadrature import gauss_legendre
@@ -135,7 +136,7 @@ def measured_moment(local_vectors: ArrayLike) -> SecondMoment:
     ValueError
         No vector, or a second axis that is not a square number.
     """
-    x = np.asarray(local_vectors, dtype=np.float64)
+    x = real_numbers(local_vectors, "vectors")
     bandlimit = bandlimit_of(x.shape[-1]) if x.ndim == 2 else -1
     if x.ndim != 2 or x.shape[0] == 0 or num_coefficients(bandlimit) != x.shape[1]:
         raise UserError(f"local_vectors must have shape (n, (L+1)^2) with n >= 1, not {x.shape}")

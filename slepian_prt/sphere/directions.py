@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.errors import UserError
 
 
@@ -16,7 +17,7 @@ def check_directions(directions: ArrayLike, name: str = "directions") -> NDArray
     ValueError
         Wrong shape, or a direction that is zero or not finite (the first one is named).
     """
-    vectors = np.atleast_2d(np.asarray(directions, dtype=np.float64))
+    vectors = np.atleast_2d(real_numbers(directions, name))
     if vectors.ndim != 2 or vectors.shape[1] != 3:
         raise UserError(f"{name} must have shape (n, 3), not {np.shape(directions)}")
     # Scaled by the largest component first, so that neither 1e-200 nor 1e200 leaves the range when squared.

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.errors import UserError
 from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.quadrature import spherical_fibonacci
@@ -85,10 +86,7 @@ def make_polygon(vertices: ArrayLike) -> Polygon:
         Fewer than three vertices or more than 20,000, two successive ones equal or opposite, or edges that cross, touch
         or overlap.
     """
-    try:
-        vertices = np.asarray(vertices, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise UserError("vertices must have shape (n, 3) and hold numbers only") from None
+    vertices = real_numbers(vertices, "vertices")
     corners = check_directions(vertices, "vertices")
     # Unit vectors stay as they are: a second rounding of their length moves them by 1e-16, across a tiny polygon too.
     unit = np.abs(corners - vertices).max(axis=-1, keepdims=True, initial=0.0) <= 4e-16

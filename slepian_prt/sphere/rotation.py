@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slepian_prt.arrays import real_numbers
 from slepian_prt.errors import UserError
 from slepian_prt.sphere.directions import check_directions
 from slepian_prt.sphere.harmonics import bandlimit_of, num_coefficients
@@ -71,7 +72,7 @@ def rotate_sh(coefficients: ArrayLike, rotation: ArrayLike) -> NDArray[Any]:
         raise UserError(f"coefficients must be real numbers, not {c.dtype}")
     dtype = np.dtype(np.float32 if c.dtype == np.float32 else np.float64)
     c = c.astype(dtype, copy=False)
-    r = np.asarray(rotation, dtype=np.float64)
+    r = real_numbers(rotation, "rotation")
     bandlimit = bandlimit_of(c.shape[-1]) if c.ndim else -1
     if c.ndim == 0 or num_coefficients(bandlimit) != c.shape[-1]:
         raise UserError(f"coefficients must have a last axis of (L+1)^2 entries, not shape {c.shape}")

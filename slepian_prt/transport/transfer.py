@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.distributed.given import given_crew
+from slepian_prt.errors import check_bandlimit
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.scene.film import Film
@@ -111,7 +112,14 @@ class Transfer(Summarised):
         return self.mesh.normals
 
     def at_bandlimit(self, bandlimit: int) -> Transfer:
-        """The same transfer with fewer degrees, without the scene's own light."""
+        """The same transfer with fewer degrees, without the scene's own light.
+
+        Raises
+        ------
+        UserError
+            A bandlimit above that of the transfer.
+        """
+        bandlimit = check_bandlimit(bandlimit, largest=self.bandlimit)
         vectors = np.ascontiguousarray(self.vectors[:, :, : num_coefficients(bandlimit)])
         film = None if self.film is None else self.film.at_bandlimit(bandlimit)
         noise, size = self.noise, float(np.linalg.norm(vectors))

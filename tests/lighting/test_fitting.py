@@ -112,7 +112,7 @@ def test_one_light_is_finite():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (np.full((3, 4), 1.0 + 1.0j), "^lighting must be real numbers, not complex128$"),
+        (np.full((3, 4), 1.0 + 1.0j), "^lighting must be real numbers, not an array of complex128$"),
         (np.full((3, 4), 1e300), r"^lighting must be within 1e\+30, which is more than pictures hold; scale it down$"),
         (np.full((3, 4), -1e31, dtype=np.float32), r"^lighting must be within 1e\+30"),
         (np.full((3, 4), -np.inf), "^lighting must be finite"),

@@ -197,7 +197,7 @@ def test_paths_through_vertices_change_sides_once():
         ([[1, 0, 0], [-1, 0, 0], [0, 1, 0]], r"vertices\[0\] and vertices\[1\] must not be opposite"),
         ([[0, 1, 0], [1, 0, 0], [0, -1, 1e-11]], r"vertices\[2\] and vertices\[0\] must not be opposite"),
         ([[1, 0, 0], [0, np.nan, 0], [0, 1, 0]], r"vertices\[1\] must be finite"),
-        ([["east", 0, 0]] * 3, "numbers only"),
+        ([["east", 0, 0]] * 3, "real numbers"),
         (np.ones((20_001, 3)), "at most 20000 directions, not 20001"),
     ],
 )

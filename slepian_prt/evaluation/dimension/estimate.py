@@ -17,6 +17,7 @@ from slepian_prt.errors import UserError, check_real, check_transfer
 from slepian_prt.evaluation.dimension.neighbourhoods import Neighbourhood, Surface
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
+from slepian_prt.transport.checks import check_finite, check_vectors
 from slepian_prt.transport.transfer import Transfer
 
 # Vectors are float32; what they leave below this part of their size is rounding.
@@ -155,9 +156,12 @@ def effective_dimension(
             "precompute the scene instead"
         )
     mesh = transfer.mesh
-    vectors = transfer.vectors if isinstance(transfer, Transfer) else transfer.reconstruct()
+    if isinstance(transfer, Transfer):
+        check_vectors(transfer)
+        vectors = transfer.vectors
+    else:
+        check_finite(vectors := transfer.reconstruct())
     active = mesh.receivers.active
-    _check_finite(vectors, active)
     used = mesh.positions[active]
     radius = neighbourhood * float(np.linalg.norm(np.ptp(used, axis=0)))
     surface = Surface(mesh, radius)
@@ -253,16 +257,6 @@ def dimension_of_energies(energies: NDArray, error: float) -> float:
     count = int(np.argmax(errors <= error))
     above, below = float(errors[count - 1]), float(errors[count])
     return max(1.0, count - 1.0 + (above - error) / (above - below))
-
-
-def _check_finite(vectors: NDArray, active: NDArray[np.bool_]) -> None:
-    """Raise UserError if a vertex that some face uses has a vector that is not finite."""
-    wrong = active & ~np.isfinite(vectors).all(axis=tuple(range(1, vectors.ndim)))
-    if wrong.any():
-        raise UserError(
-            f"the transfer vectors of {int(wrong.sum())} of {int(active.sum())} vertices are not finite, the first of "
-            f"vertex {int(np.argmax(wrong))}; precompute the transfer again"
-        )
 
 
 def check_error(error: float) -> float:
