@@ -20,6 +20,19 @@ class UserError(ValueError):
     --max-error, --effects direct.
     """
 
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
+
+
+def printable(text: str) -> str:
+    """A text without line breaks, commands to terminals, or what no encoding has: these are escaped.
+
+    Names in files, and of files, may hold all of them.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
 
 def check_integer(value: Any, name: str, smallest: int, largest: int | None = None) -> int:
     """Return ``value`` as an int.

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.errors import UserError, check_real
 from slepian_prt.lighting.map_files import file_rows
 from slepian_prt.lighting.map_rows import Checked, Rows, array_rows
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.summary import Summarised
 
 
@@ -109,6 +110,7 @@ def make_environment(
 def checked_environment(rows: Rows, clamp_negative: bool) -> Environment:
     """All rows of a map, checked; at least the three that Mitsuba takes."""
     checked = Checked(rows, clamp_negative)
+    check_memory(24 * rows.height * rows.width, f"{rows.origin}: the map", "make it smaller")
     image = np.concatenate(list(checked))
     if len(image) < 3:  # the smallest that Mitsuba takes: it repeats the last row
         image = np.concatenate([image, *[image[-1:]] * (3 - len(image))])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_readable
 from slepian_prt.lighting.fitting import LARGEST
+from slepian_prt.machine.file_content import read_content
 
 SUFFIX = ".txt"
 
@@ -36,8 +37,8 @@ def read_light_text(path: str | Path) -> NDArray[np.float64]:
     path = Path(path)
     check_readable(path, "lighting as text")
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()  # Windows puts a byte order mark before it
-    except (UnicodeDecodeError, OSError):
+        lines = read_content(path).decode("utf-8-sig").splitlines()  # Windows puts a byte order mark before it
+    except UnicodeDecodeError:
         raise UserError(f"{path}: cannot be read as lighting: it is no text") from None
     rows = [_numbers(path, number, line) for number, line in enumerate(lines, 1) if line.strip()]
     if not rows or math.isqrt(len(rows)) ** 2 != len(rows):

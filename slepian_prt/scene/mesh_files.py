@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_readable
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.scene.formats.gltf import read_gltf
 from slepian_prt.scene.formats.obj import read_obj
 from slepian_prt.scene.formats.off import read_off
@@ -34,6 +35,9 @@ _READERS: dict[str, Callable[[Path], MeshFile]] = {
 }
 MESH_SUFFIXES = tuple(_READERS)
 
+# Of memory for each byte of a file, at least: the file, and its numbers.
+_BYTES = 4
+
 
 def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     """Read a ply, obj, stl, off, glb or gltf file; all parts of it become one mesh.
@@ -54,8 +58,9 @@ def read_mesh(path: str | Path, *, crease_angle: float = 180.0) -> Mesh:
     """
     path = Path(path)
     check_crease_angle(crease_angle)
-    file = read_parts(path)
-    mesh = _join(file, path, crease_angle)
+    with np.errstate(all="ignore"):  # numbers that leave the range of floats are found where they come out
+        file = read_parts(path)
+        mesh = _join(file, path, crease_angle)
     for note in file.notes:  # of a file that is refused that line alone is told
         log.info("%s: %s", path, note)
     return mesh
@@ -70,11 +75,13 @@ def read_parts(path: Path) -> MeshFile:
         The file is missing, empty, of an unknown kind, or malformed.
     """
     check_readable(path, f"a mesh file ({', '.join(MESH_SUFFIXES)}) or a Mitsuba .xml")
-    if path.stat().st_size == 0:
+    size = path.stat().st_size
+    if size == 0:
         raise UserError(f"{path}: the file is empty; export the mesh again")
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         raise UserError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(MESH_SUFFIXES)}")
+    check_memory(_BYTES * size, f"{path}: to read it", "make it smaller, as by fewer triangles")
     return _READERS[suffix](path)
 
 

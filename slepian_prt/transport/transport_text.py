@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
 from slepian_prt.files import check_readable
+from slepian_prt.machine.file_content import read_content
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.scene import Part
@@ -92,12 +93,14 @@ def _read_rows(path: Path) -> NDArray[np.float64]:
     """(corners, 9)."""
     check_readable(path, "a transport.txt")
     try:
-        content = path.read_bytes().removeprefix(codecs.BOM_UTF8)  # which Windows puts before text
+        content = read_content(path).removeprefix(codecs.BOM_UTF8)  # which Windows puts before text
         if b"_" in content:  # Python takes 1_0 for 10
             raise ValueError
         words = content.split()
         count, numbers = int(words[0]), np.array(words[1:], dtype=np.float64)
-    except (ValueError, IndexError, OSError):
+    except UserError:
+        raise
+    except (ValueError, IndexError):
         raise UserError(
             f"{path}: cannot be read as transport: a number of vertices and nine numbers per corner"
         ) from None

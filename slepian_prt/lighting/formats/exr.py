@@ -18,6 +18,9 @@ from slepian_prt.lighting.formats.exr_layers import choose_layer
 from slepian_prt.lighting.formats.primaries import to_srgb
 from slepian_prt.lighting.map_rows import Rows, check_shape, check_size
 
+# Texels of a map of which little more than the header may be there: the others are black, and would still take time.
+_MOST_BLACK = 1 << 26
+
 
 def exr_rows(path: Path) -> Rows:
     """An OpenEXR file: scanlines or tiles (the finest level), of one part or several, `choose_layer` says of which.
@@ -38,6 +41,11 @@ def exr_rows(path: Path) -> Rows:
     data, display = part.data, part.display
     check_size(str(path), data.height, data.width)
     check_shape(str(path), display.height, display.width)
+    if display.height * display.width > max(_MOST_BLACK, 4 * data.height * data.width):
+        raise UserError(
+            f"{path}: is {display.width} x {display.height} texels, of which it holds {data.width} x {data.height}; "
+            "make it smaller, or write all of them"
+        )
     convert = None if part.chromaticities is None else to_srgb(part.chromaticities)
     names = [channel.name for channel in layer.channels]
     image = _open(path, parts, layer.part)

@@ -35,7 +35,7 @@ def pfm_rows(path: Path) -> Rows:
 
     def read(begin: int, end: int) -> NDArray[np.float32]:
         part = stored[height - end : height - begin][::-1].astype(np.float32)
-        with np.errstate(over="ignore"):  # infinite texels are told of later
+        with np.errstate(over="ignore", invalid="ignore"):  # infinite texels are told of later
             part *= np.float32(abs(scale))
         return np.broadcast_to(part, (*part.shape[:2], 3))
 

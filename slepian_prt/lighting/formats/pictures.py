@@ -19,12 +19,16 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.formats.png_encoding import MAGIC, PngEncoding, decode_srgb, read_encoding
 from slepian_prt.lighting.formats.primaries import to_srgb
 from slepian_prt.lighting.map_rows import Rows, check_shape, check_size
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.renderer.variants import bitmap_module
 
 log = logging.getLogger(__name__)
 
 # What Pillow knows; it reads no more than 8 bits, so that PNG of 16 bits are Mitsuba's.
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "DIB", "TGA", "GIF", "PPM")
+
+# What a texel takes while it is decoded, in bytes, at most.
+_TEXEL = 16
 
 # As they are, so that alpha changes no colour.
 _CHANNELS = {"1": "L", "L": "L", "LA": "L", "CMYK": "RGB", "YCbCr": "RGB", "P": "RGB", "PA": "RGB"}
@@ -75,6 +79,7 @@ def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[Any], int
     """(H, W, 1 or 3) numbers of 8 or 16 bits, and how they are turned."""
     with _quiet(), _opened(path) as image:
         check_size(str(path), image.height, image.width)
+        check_memory(_TEXEL * image.height * image.width, f"{path}: its picture", "make it smaller")
         orientation = _given_orientation(image)
         check_shape(str(path), *((image.width, image.height) if orientation >= 5 else (image.height, image.width)))
         profiled = encoding is None or encoding.profiled

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from slepian_prt.lighting.formats.primaries import to_srgb, xyz_to_srgb
 from slepian_prt.lighting.map_rows import Rows, check_shape
+from slepian_prt.machine.file_content import read_content
+from slepian_prt.machine.memory import check_memory
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +62,7 @@ def radiance_rows(path: Path) -> Rows:
     read. VIEW and PIXASPECT say nothing of a map of all directions. GAMMA is not of the format, whose numbers are
     linear; where it is not 1, that is said.
     """
-    data = path.read_bytes()
+    data = read_content(path)
     header = _parse_header(path, data)
     check_shape(str(path), header.height, header.width)
     count, length = (header.width, header.height) if header.by_column else (header.height, header.width)
@@ -114,7 +116,7 @@ def _parse_header(path: Path, data: bytes) -> _Header:
     if kind == b"32-bit_rle_xyze":
         matrix = xyz_to_srgb()
     elif kind != b"32-bit_rle_rgbe":
-        raise ValueError(f"its FORMAT is {kind.decode('latin-1')!r}, not 32-bit_rle_rgbe or 32-bit_rle_xyze")
+        raise ValueError(f"its FORMAT is {kind.decode('latin-1')[:40]!r}, not 32-bit_rle_rgbe or 32-bit_rle_xyze")
     by_column = found[2] == b"X"
     signs, sizes = {found[2]: found[1], found[5]: found[4]}, {found[2]: int(found[3]), found[5]: int(found[6])}
     # Y goes up in Radiance: decreasing is from the top.
@@ -137,6 +139,7 @@ def _decode(data: bytes, at: int, count: int, length: int) -> NDArray[np.uint8]:
     """(count, length, 4) bytes of scanlines from position ``at``; IndexError if the data end before."""
     if len(data) - at < 4 * count:  # before memory is taken
         raise IndexError
+    check_memory(4 * count * length, f"a picture of {count} x {length} texels", "make it smaller")
     texels = np.empty((count, length, 4), dtype=np.uint8)
     for number in range(count):
         start = data[at : at + 4]

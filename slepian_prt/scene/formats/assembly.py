@@ -90,8 +90,9 @@ def assemble(
         material = materials[used[0]] if len(used) and used[0] >= 0 else None
         return MeshFile((_part(path.stem, vertices, faces, uv, material),), tuple(notes))
     parts = []
-    for number in used:
-        chosen = numbers == number
+    order = np.argsort(numbers, kind="stable")
+    for chosen in np.split(order, np.searchsorted(numbers[order], used[1:])):
+        number = numbers[chosen[0]]
         material = materials[number] if number >= 0 else None
         kept, renumbered = np.unique(faces[chosen], return_inverse=True)
         own = Vertices(
@@ -149,13 +150,11 @@ def source_of_joined(joined: NDArray[np.int64]) -> NDArray[np.int64] | None:
 
 
 def _source_of(vertices: Vertices, kept: NDArray[np.int64]) -> NDArray[np.int64]:
-    """As ``source`` of `Vertices`, of some of them."""
-    count = len(vertices.positions)
-    pairs = np.stack([np.arange(count)] * 2, axis=1) if vertices.source is None else vertices.source
-    number = np.full(count, -1)
-    number[kept] = np.arange(len(kept))
-    pairs = np.stack([pairs[:, 0], number[pairs[:, 1]]], axis=1)
-    return pairs[pairs[:, 1] >= 0]
+    """As ``source`` of `Vertices`, of some of them, ascending."""
+    if vertices.source is None:
+        return np.stack([kept, np.arange(len(kept))], axis=1)
+    there = np.isin(vertices.source[:, 1], kept)
+    return np.stack([vertices.source[there, 0], np.searchsorted(kept, vertices.source[there, 1])], axis=1)
 
 
 def _part(

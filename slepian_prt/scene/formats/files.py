@@ -5,6 +5,8 @@ from __future__ import annotations
 import codecs
 from pathlib import Path
 
+from slepian_prt.machine.file_content import is_file
+
 _UTF16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 
 
@@ -12,16 +14,18 @@ def find_beside(path: Path, name: str) -> Path:
     """The file that a mesh file names, which may be missing.
 
     The name may have the separators of Windows, be one of the computer where the mesh was exported, or have letters
-    of another case: then the file of that name in the folder of the mesh is meant.
+    of another case: then the file of that name in the folder of the mesh is meant. Shares of other computers are not
+    asked: to look whether a file is there would tell them who the user is.
     """
     name = name.replace("\\", "/")
-    wanted = path.parent / name
+    last = name.rsplit("/", 1)[-1]
+    wanted = path.parent / (last if name.startswith("//") else name)
+    if is_file(wanted):
+        return wanted
+    last = last.lower()
     try:
-        if wanted.is_file():
-            return wanted
-        last = name.rsplit("/", 1)[-1].lower()
-        found = sorted(other for other in path.parent.iterdir() if other.name.lower() == last and other.is_file())
-    except (OSError, ValueError):  # a name that no file can have
+        found = sorted(other for other in path.parent.iterdir() if other.name.lower() == last and is_file(other))
+    except OSError:  # a folder whose files may be read and not listed
         return wanted
     return found[0] if found else wanted
 

@@ -23,8 +23,9 @@ _SHAPES = {
     "SCALAR": (1, 1), "VEC2": (1, 2), "VEC3": (1, 3), "VEC4": (1, 4), "MAT2": (2, 2), "MAT3": (3, 3), "MAT4": (4, 4),
 }  # fmt: skip
 
-# Elements that an accessor without data of its own may have: they are all zeros, and nothing else limits their number.
-_MOST_ZEROS = 50_000_000
+# Elements that an accessor without data of its own may have beside those of the largest that has data: they are all
+# zeros, and nothing else limits their number.
+_MOST_ZEROS = 1 << 20
 
 _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
@@ -71,14 +72,22 @@ def read_accessor(document: Document, index: int, user: Entry, kinds: tuple[str,
     columns, rows = _SHAPES[kind]
     if "bufferView" in entry.values:
         values = _read_elements(document, entry, count, dtype, (columns, rows))
-    elif count > _MOST_ZEROS:
+        document.take(8 * values.size)
+    elif count > _MOST_ZEROS and count > _largest_stored(document):
         raise entry.fault(f"has {count} elements and no data")
     else:
+        document.take(8 * count * columns * rows)
         values = np.zeros((count, columns * rows), dtype=dtype)
     sparse = entry.entry("sparse")
     if sparse is not None:
         values = _put_sparse(document, sparse, values, (columns, rows))
     return Elements(values, entry.flag("normalized"))
+
+
+def _largest_stored(document: Document) -> int:
+    """Elements of the largest accessor that has data."""
+    stored = (entry for entry in document.table("accessors") if "bufferView" in entry.values)
+    return max((entry.integer("count") for entry in stored), default=0)
 
 
 def _put_sparse(document: Document, sparse: Entry, base: NDArray, shape: tuple[int, int]) -> NDArray:

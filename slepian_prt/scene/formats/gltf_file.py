@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import binascii
+import os
 import re
 import struct
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote, unquote_to_bytes
@@ -14,8 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.file_content import is_file, read_content
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.scene.formats.gltf_json import Entry, parse_json
 from slepian_prt.scene.formats.parts import Texture
+
+# Bytes between two looks at how much memory there is, each some 50 µs.
+_CHECKED = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +41,8 @@ class Document:
         Likewise, by index.
     textures : dict of Texture
         Likewise; None where the image cannot be read. One object each, so that its image is decoded once.
+    taken : Counter
+        ``bytes`` of arrays that were made so far, and how many when memory was ``checked`` last.
     """
 
     root: Entry
@@ -42,6 +51,14 @@ class Document:
     buffers: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     views: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     textures: dict[int, Texture | None] = field(default_factory=dict)
+    taken: Counter[str] = field(default_factory=Counter)
+
+    def take(self, size: int) -> None:
+        """Raise UserError if so many bytes, and those before, do not fit: a file can repeat all that it has."""
+        self.taken["bytes"] += size
+        if self.taken["bytes"] - self.taken["checked"] >= _CHECKED:
+            self.taken["checked"] = self.taken["bytes"]
+            check_memory(self.taken["bytes"], f"{self.path}: its geometry", "export fewer triangles or instances")
 
     @property
     def path(self) -> Path:
@@ -73,10 +90,7 @@ def open_gltf(path: Path) -> Document:
     UserError
         Not a glTF file, cut off, of glTF 1.0, JSON that cannot be read.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
+    content = read_content(path)
     chunk = None
     if content[:4] == b"glTF":
         content, chunk = _split_chunks(path, content)
@@ -138,7 +152,7 @@ def read_buffer(document: Document, index: int, user: Entry) -> NDArray[np.uint8
     length = entry.integer("byteLength")
     if "uri" in entry.values:
         source = resolve_uri(entry, entry.text("uri"))
-        data = source if isinstance(source, bytes) else _read_file(entry, source)
+        data = source if isinstance(source, bytes) else _read_file(entry, source, length)
     elif index == 0 and document.chunk is not None:
         data = document.chunk
     else:
@@ -149,14 +163,19 @@ def read_buffer(document: Document, index: int, user: Entry) -> NDArray[np.uint8
     return document.buffers[index]
 
 
-def _read_file(entry: Entry, source: Path) -> bytes:
-    try:
-        return source.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        reason = "is not there" if isinstance(error, FileNotFoundError) else "cannot be read"
+def _read_file(entry: Entry, source: Path, length: int) -> bytes:
+    """Bytes of a file in the folder of the model or below it.
+
+    Whatever is in it becomes positions, so that a model from elsewhere could bring any file of its user to light.
+    """
+    there = "put it there or export a .glb"
+    if not is_file(source):
+        raise UserError(f"{entry.path}: the file {str(source)!r} with its {entry.place} is not there; {there}")
+    if not Path(os.path.abspath(source)).is_relative_to(os.path.abspath(entry.path.parent)):
         raise UserError(
-            f"{entry.path}: the file {str(source)!r} with its {entry.place} {reason}; put it there or export a .glb"
-        ) from None
+            f"{entry.path}: the file {str(source)!r} with its {entry.place} is outside of the model's folder; {there}"
+        )
+    return read_content(source, length)
 
 
 def resolve_uri(entry: Entry, uri: str) -> bytes | Path:
@@ -178,18 +197,12 @@ def resolve_uri(entry: Entry, uri: str) -> bytes | Path:
             return base64.b64decode(packed + b"=" * (-len(packed) % 4), validate=True)
         except (binascii.Error, ValueError):
             raise entry.fault("has a data: URI that is not base64") from None
-    if re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+:", uri):
+    # Two slashes begin the name of another computer.
+    if re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+:|[/\\]{2}", uri) or re.match(r"[/\\]{2}", unquote(uri)):
         raise UserError(
             f"{entry.path}: its {entry.place} is at {uri[:80]!r}, which is not fetched; download it and export a .glb"
         )
     folder = entry.path.parent
     # Some exporters write names as they are, per cent signs, backslashes and all.
     candidates = [folder / name for name in (unquote(uri), uri, unquote(uri).replace("\\", "/"))]
-    return next((candidate for candidate in candidates if _exists(candidate)), candidates[0])
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name too long, a NUL in it
-        return False
+    return next((candidate for candidate in candidates if is_file(candidate)), candidates[0])

@@ -44,7 +44,7 @@ def parse_json(path: Path, content: bytes) -> Entry:
     except RecursionError:
         reason = "it is nested too deeply"
     except ValueError as error:
-        reason = str(error)
+        reason = str(error).partition(";")[0]  # Python's advice on very long numbers
     else:
         if isinstance(values, dict):
             return Entry(path, "", values)
@@ -117,11 +117,11 @@ class Entry:
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A string; required if there is no default."""
+        """A string, without half characters, which no file can hold; required if there is no default."""
         value = self._get(key, default)
         if not isinstance(value, str):
             raise self._mistyped(key, value, "a string")
-        return value
+        return value.encode("utf-8", "replace").decode("utf-8")
 
     def texts(self, key: str) -> list[str]:
         """A list of strings; empty if it is not there."""

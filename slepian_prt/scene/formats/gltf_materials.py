@@ -81,7 +81,7 @@ def read_surface(document: Document, entry: Entry, notes: Counter[str]) -> Surfa
     elif rough is not None:
         color = rough.numbers("baseColorFactor", color)
         paint = _read_texture(document, rough, "baseColorTexture", notes)
-        metallic = rough.number("metallicFactor", 1.0)
+        metallic = min(max(rough.number("metallicFactor", 1.0), 0.0), 1.0)
         if metallic > 0.0 and "metallicRoughnessTexture" in rough.values:
             metal = _read_texture(document, rough, "metallicRoughnessTexture", notes)
             # Which parts are metal is not known without it; most of most surfaces are not.

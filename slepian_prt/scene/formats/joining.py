@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from slepian_prt.scene.pieces import connected_pieces
 
+# Vertices about each, itself counted, up to which those that are near may be copies: all corners of its faces.
+_MOST_NEAR = 32
+
 
 def join_equal(*columns: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Find rows that are equal bit for bit, 0 and -0 taken as equal.
@@ -67,7 +70,7 @@ def join_near(
         Finite.
     faces : (F, 3)
     tolerance : float
-        Largest distance of two vertices that are one.
+        Largest distance of two vertices that are one; less where very many are as near.
 
     Returns
     -------
@@ -76,7 +79,12 @@ def join_near(
     from scipy.spatial import cKDTree  # only here, so that relighting starts without SciPy
 
     count = len(positions)
-    pairs = cKDTree(positions).query_pairs(tolerance, output_type="ndarray").astype(np.int64)
+    tree = cKDTree(positions)
+    # Rounding leaves a few copies of each vertex; where more are near, they are the surface itself, next to something
+    # far away, and their pairs would not fit into memory.
+    while tree.count_neighbors(tree, tolerance) > _MOST_NEAR * count:
+        tolerance /= 4
+    pairs = tree.query_pairs(tolerance, output_type="ndarray").astype(np.int64)
     if not len(pairs):
         return np.arange(count), np.arange(count)
     label = connected_pieces(pairs, count).astype(np.int64)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from slepian_prt.machine.file_content import read_content
 from slepian_prt.scene.formats.files import decode, find_beside, to_utf8
 from slepian_prt.scene.formats.parts import Material, Texture, Wrap
 
@@ -66,7 +67,7 @@ def read_mtl(path: Path, notes: list[str]) -> dict[str, Mapped]:
     """
     found: dict[str, _Statements] = {}
     current: _Statements | None = None
-    for line in decode(to_utf8(path.read_bytes())).splitlines():
+    for line in decode(to_utf8(read_content(path))).splitlines():
         keyword, _, rest = line.strip().lstrip("\ufeff").replace("\t", " ").partition(" ")
         keyword, rest = keyword.lower(), rest.strip()
         if keyword == "newmtl":
@@ -90,7 +91,7 @@ def _read_material(path: Path, said: _Statements, notes: list[str]) -> Mapped:
         name=said.name,
         color=(diffuse[0], diffuse[1], diffuse[2]),
         texture=texture,
-        metallic=said.number("pm", 1.0 if metallic_texture else 0.0),
+        metallic=min(max(said.number("pm", 1.0 if metallic_texture else 0.0), 0.0), 1.0),
         metallic_texture=metallic_texture,
         not_simulated=_effects(said),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.file_content import is_file
 from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble, join_split, single_uv
 from slepian_prt.scene.formats.files import find_beside
 from slepian_prt.scene.formats.joining import group, join_equal
@@ -87,7 +88,7 @@ def _read_materials(path: Path, said: Statements, notes: list[str]) -> tuple[lis
                 continue
             names.append(name)
             library = find_beside(path, name)
-            if library.is_file():
+            if is_file(library):
                 libraries = {**read_mtl(library, notes), **libraries}
             else:
                 notes.append(f"its material library {name} is missing")
@@ -106,7 +107,7 @@ def _read_materials(path: Path, said: Statements, notes: list[str]) -> tuple[lis
 def _name_libraries(path: Path, rest: str) -> list[str]:
     """File names after mtllib: one that may hold spaces, or several."""
     whole = rest.strip().strip('"')
-    if not whole or find_beside(path, whole).is_file():
+    if not whole or is_file(find_beside(path, whole)):
         return [whole] if whole else []
     return re.findall(r"\S.*?\.mtl(?=\s|$)", whole, re.IGNORECASE) or whole.split()
 

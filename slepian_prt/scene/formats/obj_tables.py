@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.file_content import read_content
 from slepian_prt.scene.formats.colors import decode_srgb
 from slepian_prt.scene.formats.files import decode, to_utf8
 from slepian_prt.scene.formats.text import Lines, parse_numbers, split_lines
@@ -122,7 +123,7 @@ def read_statements(path: Path) -> Statements:
 
 def _split(path: Path) -> _Source:
     """Lines without comments at their ends; each character stays where it is in the file."""
-    raw = to_utf8(path.read_bytes())
+    raw = to_utf8(read_content(path))
     if b"\r" in raw:
         raw = raw.replace(b"\r\n", b" \n").replace(b"\r", b"\n")
     text = raw.replace(b"\\ \n", b"   ").replace(b"\\\n", b"  ") if b"\\" in raw else raw

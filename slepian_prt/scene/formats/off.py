@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.file_content import read_content
 from slepian_prt.scene.formats.assembly import Polygons, Vertices, assemble
 from slepian_prt.scene.formats.colors import decode_srgb
 from slepian_prt.scene.formats.files import to_utf8
@@ -16,6 +17,10 @@ from slepian_prt.scene.formats.parts import MeshFile
 from slepian_prt.scene.formats.text import Lines, parse_numbers, split_lines
 
 _KEYWORD = re.compile(rb"\s*(?P<ST>ST)?(?P<C>C)?(?P<N>N)?(?P<four>4)?(?P<n>n)?OFF(?P<binary>\s+BINARY)?(?=[\s\d]|\Z)")
+
+
+# More lines than any file has, as an integer.
+_MOST = 1e18
 
 
 def read_off(path: Path) -> MeshFile:
@@ -37,7 +42,7 @@ def read_off(path: Path) -> MeshFile:
     ----------
     Geomview manual, "OFF Files".
     """
-    text = to_utf8(path.read_bytes())
+    text = to_utf8(read_content(path))
     if b"#" in text:
         text = re.sub(rb"#[^\r\n]*", lambda comment: b" " * len(comment[0]), text)
     text = text.removeprefix(b"\xef\xbb\xbf")
@@ -47,7 +52,7 @@ def read_off(path: Path) -> MeshFile:
     if not filled.size:
         raise UserError(f"{path}: has no counts of vertices and faces after 'OFF' (is it cut off?); export it again")
     counts = _read_numbers(path, lines, filled[:1])
-    if len(counts) not in (2, 3) or np.any((counts < 0) | (counts != np.trunc(counts))):
+    if len(counts) not in (2, 3) or np.any(~(counts <= _MOST) | (counts < 0) | (counts != np.trunc(counts))):
         words = lines.read(int(filled[0])).decode("latin-1")[:60]
         raise UserError(
             f"{path}: line {filled[0] + 1}: '{words}' are no counts of vertices, faces and edges; export it again"

@@ -107,7 +107,7 @@ def _polygons(path: Path, tables: dict[str, Table], textures: int, notes: list[s
     uv, numbers = None, None
     wedges, chosen = faces.get("texcoord"), faces.get("texnumber")
     if isinstance(wedges, Lists) and wedges.sizes.any():
-        if np.all(wedges.sizes == 2 * corners.sizes):
+        if np.array_equal(wedges.sizes, 2 * corners.sizes):
             uv = single_uv(wedges.values.reshape(-1, 2))
         else:
             notes.append("texture coordinates of its faces left out, as some faces have not two for each corner")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.file_content import read_content
 from slepian_prt.scene.formats.files import to_utf8
 from slepian_prt.scene.formats.text import parse_numbers, split_lines
 
@@ -22,6 +24,9 @@ _TYPES = {
 
 # Codes of the struct module, in standard sizes.
 _CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f8": "d"}
+
+_LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n)")
+_LONGEST_HEADER = 1 << 20
 
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -89,7 +94,7 @@ def read_tables(path: Path) -> tuple[Header, dict[str, Table]]:
     UserError
         Not a PLY file, a malformed header, more or fewer numbers than it declares, or numbers that cannot be read.
     """
-    raw = to_utf8(path.read_bytes())
+    raw = to_utf8(read_content(path))
     header = read_header(path, raw)
     if header.order == "=":
         body, order = _read_text(path, raw, header), "="
@@ -115,22 +120,17 @@ def read_header(path: Path, raw: bytes) -> Header:
     if raw[:3] != b"ply" or raw[3:4] not in (b"\n", b"\r", b" "):
         raise UserError(f"{path}: cannot be read as a mesh: it does not begin with 'ply'; check that it is a .ply file")
     order, comments, elements = None, [], list[tuple[str, int, list[Property]]]()
-    at, number = 0, 0
-    while True:
-        end = min((k for k in (raw.find(b"\n", at), raw.find(b"\r", at)) if k >= 0), default=-1)
-        if end < 0:
-            raise UserError(f"{path}: its header has no end_header (is it cut off?); export it again")
-        line = raw[at:end].decode("latin-1").strip()
-        at = end + (2 if raw[end : end + 2] == b"\r\n" else 1)
-        number += 1
+    for number, row in enumerate(_LINE.finditer(raw, 0, _LONGEST_HEADER), 1):
+        line = row[1].decode("latin-1").strip()
         keyword, *words = line.split() or [""]
         if keyword == "end_header":
+            at = row.end()
             break
         if keyword in ("comment", "obj_info"):
             comments.append(line[len(keyword) :].strip())
         elif keyword == "format" and words[:1] and words[0] in _ORDERS:
             order = _ORDERS[words[0]]
-        elif keyword == "element" and len(words) == 2 and words[1].isdecimal():
+        elif keyword == "element" and len(words) == 2 and words[1].isdecimal() and len(words[1]) < 20:
             elements.append((words[0], int(words[1]), []))
         elif keyword == "property" and elements and _is_property(words):
             kinds = [_TYPES[word] for word in words[:-1] if word != "list"]
@@ -139,6 +139,8 @@ def read_header(path: Path, raw: bytes) -> Header:
             raise UserError(f"{path}: line {number} of its header, '{line[:60]}', is not understood; export it again")
         elif line and line != "ply":
             comments.append(line)  # some writers forget the word
+    else:
+        raise UserError(f"{path}: its header has no end_header (is it cut off?); export it again")
     if order is None:
         raise UserError(f"{path}: its header names no format (ascii, binary_little_endian …); export it again")
     found = tuple(Element(name, count, tuple(properties)) for name, count, properties in elements)

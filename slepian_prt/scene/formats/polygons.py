@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 # Sine of the smallest turn that makes a corner: float32 coordinates on a straight line turn by less.
 _STRAIGHT = 1e-6
 
-# Corners of the largest polygon that is spanned with least area, which takes their number cubed.
+# Corners of the largest polygon that is spanned with least area, which takes their number cubed; and how much such
+# work is done for all of a file: that of fifty of these.
 _MOST_SPANNED = 100
+_MOST_SPANNING = 50 * _MOST_SPANNED**2
 
 
 def triangulate(
@@ -45,10 +47,11 @@ def triangulate(
     numbers, sizes = _without_repeats(sizes, corners, numbers)
     starts = np.cumsum(sizes) - sizes
     triangles, owners = [np.empty((0, 3), dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    budget = [_MOST_SPANNING]
     for size in np.unique(sizes[sizes >= 3]):
         polygons = np.flatnonzero(sizes == size)
         rows = numbers[starts[polygons, None] + np.arange(size)]
-        cut, row = _cut(positions, corners, rows)
+        cut, row = _cut(positions, corners, rows, budget)
         triangles.append(rows[row[:, None], cut])
         owners.append(polygons[row])
     owner = np.concatenate(owners)
@@ -73,9 +76,9 @@ def _without_repeats(
 
 
 def _cut(
-    positions: NDArray[np.float64], corners: NDArray[np.int64], rows: NDArray[np.int64]
+    positions: NDArray[np.float64], corners: NDArray[np.int64], rows: NDArray[np.int64], budget: list[int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Triangles (T, 3) in columns of ``rows`` (R, n), and the row of each."""
+    """Triangles (T, 3) in columns of ``rows`` (R, n), and the row of each; ``budget`` is what spanning may take."""
     count, size = rows.shape
     fan = np.stack([np.zeros(size - 2, dtype=np.int64), np.arange(1, size - 1), np.arange(2, size)], axis=1)
     if size == 3:
@@ -90,7 +93,7 @@ def _cut(
             return _cut_quads(points, normals)
         flat = _project(points, normals)
         plain = _are_convex(flat) | ~(np.linalg.norm(normals, axis=1) > 1e-12)
-    cuts = [_clip_ears(flat[row], points[row], fan) for row in np.flatnonzero(~plain)]
+    cuts = [_clip_ears(flat[row], points[row], fan, budget) for row in np.flatnonzero(~plain)]
     simple = np.flatnonzero(plain)
     row = np.concatenate([np.repeat(simple, size - 2), np.repeat(np.flatnonzero(~plain), [len(cut) for cut in cuts])])
     return np.concatenate([np.tile(fan, (len(simple), 1)), *cuts]), row
@@ -137,7 +140,9 @@ def _are_convex(flat: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.all(turns > _STRAIGHT, axis=1) & np.all(_sines(seen[:, :-1], seen[:, 1:]) > _STRAIGHT, axis=1)
 
 
-def _clip_ears(flat: NDArray[np.float64], points: NDArray[np.float64], fan: NDArray[np.int64]) -> NDArray[np.int64]:
+def _clip_ears(
+    flat: NDArray[np.float64], points: NDArray[np.float64], fan: NDArray[np.int64], budget: list[int]
+) -> NDArray[np.int64]:
     """Triangles (T, 3) of one polygon (n, 3), anticlockwise as it is in its plane (n, 2)."""
     ends = np.array([len(flat)], dtype=np.uint32)
     triangles = mapbox_earcut.triangulate_float64(np.ascontiguousarray(flat), ends).reshape(-1, 3)
@@ -145,7 +150,8 @@ def _clip_ears(flat: NDArray[np.float64], points: NDArray[np.float64], fan: NDAr
         return triangles.astype(np.int64)
     # A corner left out of a bent polygon would be a hole in the surface, and out of a flat one is none.
     if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > _STRAIGHT:
-        return _span(points) if len(flat) <= _MOST_SPANNED else fan
+        budget[0] -= len(flat) ** 2
+        return _span(points) if len(flat) <= _MOST_SPANNED and budget[0] >= 0 else fan
     return triangles.astype(np.int64) if len(triangles) else fan
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.file_content import read_content
 from slepian_prt.scene.formats.files import decode, to_utf8
 from slepian_prt.scene.formats.joining import join_equal, join_near
 from slepian_prt.scene.formats.parts import MeshFile, MeshPart
@@ -18,6 +19,9 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 
 # Relative to the diagonal of the box: corners that writers move by float32 matrices differ by some 1e-7 of it.
 _ROUNDING = 1e-6
+
+# What has a square; far beyond what a mesh may have.
+_LARGEST = 1e100
 
 # First letters of the lines of a facet, and their words: facet, outer loop, three times vertex, endloop, endfacet.
 _LETTERS = np.frombuffer(b"fovvvee", dtype=np.uint8)
@@ -47,7 +51,7 @@ def read_stl(path: Path) -> MeshFile:
     ----------
     3D Systems, StereoLithography Interface Specification, 1988.
     """
-    raw = path.read_bytes()
+    raw = read_content(path)
     count = int.from_bytes(raw[80:84], "little") if len(raw) >= 84 else -1
     if count >= 0 and len(raw) == 84 + _RECORD.itemsize * count:
         corners = np.frombuffer(raw, dtype=_RECORD, offset=84)["corners"].reshape(-1, 3).astype(np.float64)
@@ -69,7 +73,7 @@ def read_stl(path: Path) -> MeshFile:
 def _join(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     first, joined = join_equal(corners)
     positions, faces = corners[first], joined.reshape(-1, 3)
-    if not len(positions) or not np.all(np.isfinite(positions)):  # which is refused later
+    if not len(positions) or not np.abs(positions).max() <= _LARGEST:  # which is refused later
         return positions, faces
     step = float(np.spacing(np.abs(positions).max().astype(np.float32)))
     tolerance = max(4 * step, _ROUNDING * float(np.linalg.norm(np.ptp(positions, axis=0))))

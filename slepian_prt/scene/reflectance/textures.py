@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.file_content import is_file
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.scene.formats.parts import Texture, Wrap
 
 _CODES = np.arange(256) / 255.0
@@ -26,6 +28,9 @@ _WIDELY_READ = {"PNG": ".png", "JPEG": ".jpg"}
 
 # Texture coordinates beyond this are rubbish, and float32 has no fractions there.
 _LARGEST_UV = 2.0**24
+
+# What a texel takes while it is decoded, in bytes, at most.
+_TEXEL = 32
 
 # Texels that are decoded from 8 bits at a time.
 _TEXELS = 1 << 22
@@ -146,8 +151,8 @@ def _opened(texture: Texture) -> Iterator[Any]:
     from PIL import Image, UnidentifiedImageError
 
     source = texture.source if isinstance(texture.source, Path) else io.BytesIO(texture.source)
-    if isinstance(source, Path) and not source.is_file():
-        raise UserError(f"texture {texture.name}: there is no file {source}")
+    if isinstance(source, Path) and not is_file(source):
+        raise UserError(f"texture {texture.name[:80]}: there is no file {str(source)[:500]}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of large images and of odd ones that it reads well
@@ -166,6 +171,7 @@ def _opened(texture: Texture) -> Iterator[Any]:
 def _decode(texture: Texture) -> NDArray[np.uint8]:
     """(H, W, 3) as it is encoded."""
     with _opened(texture) as image:
+        check_memory(_TEXEL * image.height * image.width, f"texture {texture.name}", "make it smaller")
         if image.mode not in _WHITE:
             return np.asarray(image.convert("RGB"))
         values = np.nan_to_num(np.asarray(image, dtype=np.float32)) / _WHITE[image.mode]

@@ -145,9 +145,9 @@ BROKEN = [
     (("buffers", 0, "byteLength"), 10**6, "buffer 0 has"),
     (("buffers", 0, "byteLength"), None, "buffer 0 has no byteLength"),
     (("buffers", 0, "uri"), "gone.bin", "gone.bin' with its buffer 0 is not there"),
-    (("buffers", 0, "uri"), "a\x00b", "cannot be read"),
-    (("buffers", 0, "uri"), "x" * 5000, "cannot be read"),
-    (("buffers", 0, "uri"), ".", "cannot be read"),
+    (("buffers", 0, "uri"), "a\x00b", "is not there"),
+    (("buffers", 0, "uri"), "x" * 5000, "is not there"),
+    (("buffers", 0, "uri"), ".", "is not there"),
     (("buffers", 0, "uri"), "https://example.com/a.bin", "which is not fetched"),
     (("buffers", 0, "uri"), "data:application/octet-stream;base64,@@@", "not base64"),
     (("buffers", 0, "uri"), "data:nothing", "without data"),
@@ -254,7 +254,7 @@ def test_broken_containers(tmp_path, name):
 
 
 def test_a_missing_file(tmp_path):
-    assert "cannot be read" in fault(tmp_path / "gone.glb")
+    assert "no such file" in fault(tmp_path / "gone.glb")
 
 
 @pytest.mark.parametrize("seed", range(4))
