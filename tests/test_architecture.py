@@ -11,7 +11,7 @@ import slepian_prt
 PACKAGE = Path(slepian_prt.__file__).parent
 
 # Each layer imports those before it; the modules beside the layers know nothing but each other.
-BESIDE = ("errors", "arrays", "files", "summary", "examples")
+BESIDE = ("errors", "arrays", "files", "cache_folder", "signals", "streams", "summary", "examples")
 LAYERS = (
     "sphere", "slepian", "machine", "renderer", "distributed", "lighting", "scene", "paths", "transport", "compression",
     "relighting", "runtime", "export", "viewer",

@@ -98,7 +98,7 @@ def commands(text: str) -> list[tuple[str, list[str]]]:
 
 def run(command: str, monkeypatch: pytest.MonkeyPatch) -> str:
     """What the command prints. It runs in this process, which has Mitsuba at hand; pictures are taken small."""
-    from slepian_prt.__main__ import main
+    from slepian_prt.cli import main
 
     program, *arguments = shlex.split(command)
     assert program == "slepian-prt", f"examples call slepian-prt, not {program}"
@@ -110,11 +110,11 @@ def run(command: str, monkeypatch: pytest.MonkeyPatch) -> str:
     handlers, level = list(log.handlers), log.level
     output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output), pytest.raises(SystemExit) as end:
-            main()
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+            status = main()
     finally:
         log.handlers, log.level = handlers, level
-    assert end.value.code == 0, f"{command}\n{output.getvalue()}"
+    assert status == 0, f"{command}\n{output.getvalue()}"
     return output.getvalue()
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import click
 
-from slepian_prt.cli.commands import cli, with_flags
+from slepian_prt.cli.commands import Interrupted, cli, with_flags
 from slepian_prt.cli.messages import note
 from slepian_prt.errors import UserError
+from slepian_prt.signals import status_of, told
 
 __all__ = ["cli", "main"]
 
@@ -34,11 +34,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(2, f"{error.format_message().rstrip('.')}; see {command} --help")
     except click.ClickException as error:
         return _fail(2, error.format_message())
-    except (KeyboardInterrupt, click.Abort):
-        return _fail(130, "interrupted; nothing was written")
-    except BrokenPipeError:
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - so that the flush at exit is quiet too
-        return 0
+    except (Interrupted, KeyboardInterrupt, click.Abort) as ended:
+        interrupt = ended.__cause__ or ended
+        return _fail(status_of(interrupt), f"{told(interrupt)}; nothing was written")
+    except OSError as error:  # where no sentence was foreseen for it
+        if os.environ.get("SLEPIAN_PRT_DEBUG"):
+            traceback.print_exc()
+        where = error.filename or "a file"
+        return _fail(
+            2, f"{where}: cannot be used ({error.strerror or error}); see that its folder is there and has space left"
+        )
     except MemoryError:
         return _fail(1, "out of memory; try a lower --bandlimit or fewer --samples")
     except Exception as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from functools import cache
 from importlib import import_module
+from typing import Any
 
 import click
 
@@ -14,8 +15,24 @@ COMMANDS = (
 )  # fmt: skip
 
 
+class Interrupted(BaseException):
+    """The command was interrupted, told past click, which would print an empty line and forget by what."""
+
+
 class _Commands(click.Group):
     """Imports a command's file when the command is asked for."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command.
+
+        Raises
+        ------
+        Interrupted
+        """
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interrupt:
+            raise Interrupted from interrupt
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)

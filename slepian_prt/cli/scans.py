@@ -18,6 +18,7 @@ from slepian_prt.cli.options import together
 from slepian_prt.cli.terminal import progress
 from slepian_prt.cli.workers import crew_of
 from slepian_prt.errors import UserError
+from slepian_prt.signals import status_of, told
 
 if TYPE_CHECKING:
     from slepian_prt.datasets.jobs import ScanResult, ScanSettings
@@ -86,9 +87,9 @@ def precompute_scans(
 
             advance(0, count)
             results = run_set(wanted, folder, settings, tell, map if crew is None else mapped_by(crew))
-    except KeyboardInterrupt:
-        click.echo(f"slepian-prt: interrupted; the same command goes on from what is in {folder}", err=True)
-        return 130
+    except KeyboardInterrupt as interrupt:
+        click.echo(f"slepian-prt: {told(interrupt)}; the same command goes on from what is in {folder}", err=True)
+        return status_of(interrupt)
     failed = [result for result in results if result.failure is not None]
     kept = sum(result.kept for result in results)
     if not as_json:

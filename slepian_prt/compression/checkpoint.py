@@ -20,8 +20,8 @@ from typing import IO, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.cache_folder import locked_cache_folder
 from slepian_prt.errors import UserError
-from slepian_prt.files import locked_cache_folder
 
 log = logging.getLogger(__name__)
 

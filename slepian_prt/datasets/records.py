@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slepian_prt.datasets.jobs import ScanResult
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output, forget_partial
+from slepian_prt.files import add_line, atomic_output, forget_partial, is_own_file
 
 NAME = "results.jsonl"
 
@@ -23,8 +23,7 @@ class Records:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / NAME
-        text = self._path.read_bytes() if self._path.is_file() else b""
-        self._is_torn = not text.endswith(b"\n") and text != b""
+        text = self._path.read_bytes() if is_own_file(self._path) else b""
         lines = text.decode(errors="replace").split("\n")  # names may hold what splitlines() takes for ends of lines
         found = filter(None, map(ScanResult.from_line, lines))
         self._results = {result.name: result for result in found}
@@ -35,14 +34,7 @@ class Records:
     def add(self, result: ScanResult) -> None:
         """Keep a result, on the disk at once."""
         self._results[result.name] = result
-        # What a killed process left of its last line ends here.
-        line = "\n" * self._is_torn + result.as_line() + "\n"
-        try:
-            with self._path.open("ab") as file:
-                file.write(line.encode())
-        except OSError as error:
-            raise UserError(f"{self._path}: cannot be written ({error.strerror or error}); free some space") from None
-        self._is_torn = False
+        add_line(self._path, result.as_line())
 
     def tidy(self, order: Iterable[str]) -> None:
         """Keep one line for each name: those of other work first, then in the order given."""

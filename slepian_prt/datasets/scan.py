@@ -21,7 +21,7 @@ from slepian_prt.datasets.obj_rows import read_rows
 from slepian_prt.datasets.order_two import trace_order_two
 from slepian_prt.datasets.training_files import icon_files, pifu_files
 from slepian_prt.errors import UserError
-from slepian_prt.files import atomic_output, forget_partial
+from slepian_prt.files import atomic_output
 from slepian_prt.transport.planned import Clock
 
 # Processes that may die of a scan, before it has failed.
@@ -102,7 +102,6 @@ def _write_prt(job: ScanJob, known: ScanResult) -> ScanResult:
     settings, output = job.settings, f"{job.name}.prt"
     packed = _compressed(job)
     clock = Clock(packed.seconds)
-    forget_partial(Path(job.folder) / output)
     packed.save(Path(job.folder) / output, keep_order=packed.vertex_count <= settings.kept_order)
     clock.stop("write")
     error = max(packed.verified.values()) if packed.verified else settings.compression.expected_error(packed.expected)
@@ -151,7 +150,6 @@ def _write(path: Path, content: bytes) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"{path.parent}: cannot be made ({error.strerror or error}); rename what is there") from None
-    forget_partial(path)
     with atomic_output(path) as file:
         file.write(content)
 

@@ -6,20 +6,35 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
+
+from slepian_prt.signals import ENDING, end, end_at_once
 
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Ctrl-C within the block is raised at its end; in other threads than the main one, which hear of none, nothing."""
+    """Ctrl-C within the block is raised at its end; in other threads than the main one, which hear of none, nothing.
+
+    So are other signals that end a program and that somebody listens to in Python. A second Ctrl-C ends the command at
+    once.
+    """
     is_main = threading.current_thread() is threading.main_thread()
-    if not is_main or signal.getsignal(signal.SIGINT) is None:  # None: of something else than Python
-        yield
-        return
+    # None: a handler of something else than Python.
+    handlers = {number: signal.getsignal(number) for number in ENDING} if is_main else {}
+    held = {number: handler for number, handler in handlers.items() if callable(handler)}
     came: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+
+    def hold(number: int, _frame: FrameType | None) -> None:
+        if number == signal.SIGINT and came and held[number] is end:
+            end_at_once(number)
+        came.append(number)
+
     try:
+        for number in held:
+            signal.signal(number, hold)
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in held.items():
+            signal.signal(number, handler)
     if came:
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(came[0])

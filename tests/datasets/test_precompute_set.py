@@ -175,8 +175,12 @@ def test_what_kills_the_process_comes_last(scans, tmp_path):
 def test_what_killed_processes_left_is_gone(tmp_path):
     """Half a file under another name, of outputs and of the records."""
     path, out = write_ball(tmp_path / "a.obj", 0, 1), tmp_path / "out"
-    left = [out / ".a.prt.123.part", out / f".{NAME}.123.part", out / "a" / "bounce" / ".face.npy.123.part"]
-    others = [out / ".b.prt.123.part", out / "a" / ".face.npy.123.part"]
+    left = [
+        out / ".a.prt.0123456789abcdef.part",
+        out / f".{NAME}.0123456789abcdef.part",
+        out / "a" / "bounce" / ".face.npy.0123456789abcdef.part",
+    ]
+    others = [out / ".b.prt.0123456789abcdef.part", out / "a" / ".face.npy.0123456789abcdef.part"]
     for partial in (*left, *others):
         partial.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(b"half")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from slepian_prt.compression.fingerprint import instanced_shapes, shape_arrays
 from slepian_prt.evaluation.provenance import machine, versions
 from slepian_prt.evaluation.sweep.axes import Setting
 from slepian_prt.evaluation.sweep.results import Point
+from slepian_prt.files import add_line, is_own_file
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.transport.planned import PlannedScene
 
@@ -49,7 +49,7 @@ class SweepCheckpoint:
         self._path = path
         self._key = _fingerprint(planned, environments, noise, by_workers)
         self.points: dict[Setting, Point] = {}
-        if path is None or not path.is_file():
+        if path is None or not is_own_file(path):
             return
         for line in path.read_text().splitlines():
             try:
@@ -65,10 +65,7 @@ class SweepCheckpoint:
         if self._path is None:
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a") as file:
-            file.write(json.dumps({"key": self._key, **point.as_dict()}) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        add_line(self._path, json.dumps({"key": self._key, **point.as_dict()}))
 
     def remove(self) -> None:
         """Delete the file, when all is done."""

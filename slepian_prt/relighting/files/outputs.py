@@ -5,9 +5,7 @@ From here on radiance is drawn: on the mesh that its receivers are the vertices 
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
-from slepian_prt.errors import UserError
+from slepian_prt.files import complete_folder
 from slepian_prt.relighting.files.numbers import write_film_radiance, write_radiance
 from slepian_prt.relighting.files.wishes import FILM, MESHES, PICTURES, Wish
 from slepian_prt.relighting.series import Series, read_environments
@@ -140,20 +138,3 @@ def _write_meshes(output: str, canvas: Canvas, names: Sequence[str], wish: Wish,
     with complete_folder(output) as folder:
         for number, name in enumerate(names):
             canvas.write(folder / f"{name}{wish.suffix}", number, scale, wish.finish.factor, output)
-
-
-@contextmanager
-def complete_folder(folder: str | Path) -> Iterator[Path]:
-    """A new folder whose files are moved to their place when the with-block ends well."""
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise UserError(f"{folder}: is a file; name a folder for several results")
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as unfinished:
-            yield Path(unfinished)
-            folder.mkdir(exist_ok=True)
-            for file in sorted(Path(unfinished).iterdir()):
-                file.replace(folder / file.name)
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder") from None

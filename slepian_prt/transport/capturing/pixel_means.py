@@ -16,8 +16,8 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.cache_folder import locked_cache_file
 from slepian_prt.errors import UserError
-from slepian_prt.files import locked_cache_file
 from slepian_prt.sphere.harmonics import num_coefficients
 
 log = logging.getLogger(__name__)

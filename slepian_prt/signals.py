@@ -1,0 +1,100 @@
+"""Signals that end the command, all as Ctrl-C does: SIGTERM, and SIGHUP of a terminal that is closed.
+
+Only the command's entry listens to them, `slepian_prt.__main__`; whoever uses the library keeps handlers of their own.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+# Those that this system has.
+ENDING = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)  # fmt: skip
+
+_WORDS = {"SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
+
+# What an exception that was lost waits until it is raised once more.
+_SECONDS_AGAIN = 0.05
+
+
+class Ended(KeyboardInterrupt):
+    """A signal ends the command.
+
+    Attributes
+    ----------
+    number : int
+        Of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+def status_of(interrupt: BaseException | None) -> int:
+    """The exit status of a command that was interrupted, as shells have it."""
+    return 128 + int(getattr(interrupt, "number", signal.SIGINT))
+
+
+def told(interrupt: BaseException | None) -> str:
+    """What ended the command, in a word or two."""
+    return _WORDS.get(signal.Signals(status_of(interrupt) - 128).name, "interrupted")
+
+
+@contextmanager
+def heard() -> Iterator[None]:
+    """Raise `Ended` in the main thread for the first signal that is not ignored, as SIGHUP is under nohup.
+
+    A Ctrl-C after it ends the process at once, whatever it is doing; so does SIGTERM after a Ctrl-C. What else comes
+    is not heard: closed terminals, and ``timeout``, send signals twice. When the block has ended the process is about
+    to, and each signal ends it at once.
+    """
+    changed = [number for number in ENDING if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda lost: _raise_again(lost, hook)
+    try:
+        for number in changed:
+            signal.signal(number, end)
+        yield
+    finally:
+        sys.unraisablehook = hook
+        for number in changed:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def end(number: int, _frame: FrameType | None = None) -> None:
+    """The handler of `heard`."""
+    for other in ENDING:
+        if signal.getsignal(other) is end:
+            at_once = other == signal.SIGINT or (number == signal.SIGINT and other == signal.SIGTERM)
+            signal.signal(other, signal.SIG_DFL if at_once else signal.SIG_IGN)
+    raise Ended(number)
+
+
+def end_at_once(number: int) -> None:
+    """As the system ends what does not listen."""
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
+
+
+def _raise_again(lost: Any, hook: Any) -> None:
+    """Python drops exceptions of finalizers, with a traceback, and with them the signal that just then came."""
+    if not isinstance(lost.exc_value, Ended):
+        hook(lost)
+        return
+    number = lost.exc_value.number
+
+    def send() -> None:
+        time.sleep(_SECONDS_AGAIN)
+        signal.raise_signal(number)
+
+    signal.signal(number, end)
+    threading.Thread(target=send, daemon=True).start()
