@@ -23,7 +23,9 @@ def _run() -> int:
     try:
         with kept_streams():
             from slepian_prt.cli import main as run
+            from slepian_prt.machine.threads import start_with_one_blas_thread
 
+            start_with_one_blas_thread()
             return run()
     except OSError as error:
         _tell(f"standard output: cannot be written ({error.strerror or error}); free some space")

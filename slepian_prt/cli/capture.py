@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     clamp_option,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 @clamp_option
 @click.option("--tolerance", type=float, help="Wanted relative error of coding.  [default: that of the noise]")
 @click.option("--no-smooth", is_flag=True, help="Keep the noise as it is.")
-@variant_option
+@machine_options
 @parameters_option
 @seed_option
 @crew_options

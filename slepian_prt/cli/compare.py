@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.messages import say
 from slepian_prt.cli.options import (
     clamp_option,
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 )
 @crew_options
 @click.option("--viewer", is_flag=True, help="Beside the report, a page to turn model and light in: viewer.html.")
-@variant_option
+@machine_options
 def compare(
     scene: str,
     environment: tuple[str, ...],

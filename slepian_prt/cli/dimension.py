@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import camera_options, output_option, transport_options, width_option
 from slepian_prt.cli.values import read_transfer, settings_of
@@ -47,7 +47,7 @@ _OF_SURFACES = ("glossy reflection of ", "mirror reflection of ", "transmission 
     help="Of a picture: a name or #rrggbb.",
 )
 @transport_options
-@variant_option
+@machine_options
 @click.pass_context
 def dimension(
     context: click.Context,

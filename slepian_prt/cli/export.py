@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import clamp_option, file_argument, output_option, rotate_option
 from slepian_prt.cli.values import read_transfer
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 @click.option("--scene", type=click.Path(), metavar="PATH", help="What FILE was made from: its textures are written.")
 @click.option("--up", type=click.Choice(["y", "z"]), default="y", show_default=True, help="What is up in the model.")
 @output_option("Where to write: .glb, or .ply for all but transfer; .txt for games202.")
-@variant_option
+@machine_options
 def export(
     file: str,
     what: str,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 import subprocess
 import sys
@@ -11,6 +10,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.cores import describe_cores, usable_cores
+from slepian_prt.machine.memory import MAX_MEMORY, available_memory, describe_size, limit_given
+from slepian_prt.machine.threads import THREADS, thread_count
 from slepian_prt.renderer import llvm
 from slepian_prt.renderer.variants import NO_DEVICE, cuda_failure, usable_variant
 
@@ -38,9 +40,8 @@ def examine() -> list[Finding]:
     """Look at everything; anything that may kill the process is tried in a child."""
     findings = [Finding("python", f"{platform.python_version()} on {platform.machine()} {platform.system()}")]
     findings += [_package(name) for name in _PACKAGES]
-    findings.append(
-        Finding("cores", str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()))
-    )
+    findings.append(_cores())
+    findings.append(_memory())
     path, tried = llvm.find()
     if path is None and not tried:
         findings.append(Finding("LLVM", "no libLLVM found", False, llvm.REMEDY))
@@ -60,6 +61,19 @@ def examine() -> list[Finding]:
     findings.append(Finding("variant", variant))
     findings.append(_speed())
     return findings
+
+
+def _cores() -> Finding:
+    """How many are used, of how many, and why."""
+    threads, cores = thread_count(), usable_cores()
+    told = "" if threads == cores else f", worked on by {threads} thread{'s' if threads > 1 else ''} ({THREADS})"
+    return Finding("cores", describe_cores() + told)
+
+
+def _memory() -> Finding:
+    left, limit = available_memory(), limit_given()
+    told = "" if limit is None else f", of which {describe_size(limit)} may be taken ({MAX_MEMORY})"
+    return Finding("memory", ("unknown" if left is None else f"{describe_size(left)} left") + told)
 
 
 def _cuda() -> Finding:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import crew_options, grouping_options, output_option, transport_options
 from slepian_prt.cli.precompute_options import compression_options, goal_options, keep_order_option
@@ -38,7 +38,7 @@ _GIVEN = ParameterSource.COMMANDLINE
 @keep_order_option
 @grouping_options
 @crew_options
-@variant_option
+@machine_options
 @click.pass_context
 def precompute(
     context: click.Context,

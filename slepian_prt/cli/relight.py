@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     clamp_option,
@@ -55,7 +55,7 @@ from slepian_prt.cli.values import Names, read_transfer, settings_of
     help="Of the files in a folder.",
 )
 @output_option()
-@variant_option
+@machine_options
 def relight(
     file: str,
     environment: tuple[str, ...],

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
     albedo_option,
@@ -57,7 +57,7 @@ def _axis(flag: str, kind: type, metavar: str, default: str | None, what: str) -
 @seed_option
 @rotate_option
 @clamp_option
-@variant_option
+@machine_options
 @noise_option(0.005)
 @crew_options
 def sweep(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slepian_prt.cli.backend import variant_option
+from slepian_prt.cli.backend import machine_options
 from slepian_prt.cli.commands import with_flags
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.options import (
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 @click.option("--scene", type=click.Path(), metavar="PATH", help="What FILE was made from: its textures are drawn.")
 @click.option("--no-open", is_flag=True, help="Do not open the page in a browser.")
 @output_option("Where to write the page, an .html file.")
-@variant_option
+@machine_options
 def view(
     file: str,
     environment: tuple[str, ...],

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.arrays import whole_numbers
 from slepian_prt.compression.blocks import pieces_of
-from slepian_prt.compression.codec.caps import Coded, DecodedCap, decode_caps
+from slepian_prt.compression.codec.caps import DecodedCap, decode_caps
 from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.pilot import channel_mixing
 from slepian_prt.errors import UserError
+from slepian_prt.machine.kept import Kept
+from slepian_prt.machine.threads import map_in_threads
 from slepian_prt.sphere.harmonics import num_coefficients
 
 if TYPE_CHECKING:
@@ -63,23 +61,19 @@ def decode_all(packed: CompressedTransfer) -> tuple[CapCoefficients, ...]:
     UserError
         What was loaded does not fit together.
     """
-    if packed not in _decoded:
-        if packed.coded is None:
-            _decoded[packed] = tuple(decode(packed, c) for c in range(len(packed.bases)))
-        else:
-            _decoded[packed] = tuple(_decode_pieces(packed, packed.coded))
-    return _decoded[packed]
+    return _decoded.of(packed, lambda: tuple(_decode_pieces(packed)))
 
 
-def _decode_pieces(packed: CompressedTransfer, coded: Coded) -> Iterator[CapCoefficients]:
+def _decode_pieces(packed: CompressedTransfer) -> Iterator[CapCoefficients]:
     """All caps, piece by piece; several pieces at once, as most of the work lets go of Python's lock."""
+    coded = packed.coded
+    if coded is None:
+        yield from (decode(packed, c) for c in range(len(packed.bases)))
+        return
     pieces = pieces_of(packed.clusters.sizes * np.array([content.width for content in coded.caps]), _PIECE)
     surface_of(packed.mesh.receivers)
-    # One thread of BLAS for each of these: more would wait for each other over small principal axes.
-    count = min(len(pieces), os.cpu_count() or 1, _THREADS)
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(count) as threads:
-        for decoded in threads.map(lambda piece: _decode_coded(packed, piece), pieces):
-            yield from decoded
+    for decoded in map_in_threads(lambda piece: _decode_coded(packed, piece), pieces, _THREADS):
+        yield from decoded
 
 
 def _decode_coded(packed: CompressedTransfer, caps: range) -> list[CapCoefficients]:
@@ -98,12 +92,12 @@ def remember(packed: CompressedTransfer, decoded: tuple[DecodedCap, ...]) -> Non
     """What the encoder knows need not be decoded."""
     assert packed.coded is not None
     step = packed.coded.tuning.step
-    _decoded[packed] = tuple(CapCoefficients(cap.values(step), cap.axes) for cap in decoded)
+    _decoded.put(packed, tuple(CapCoefficients(cap.values(step), cap.axes) for cap in decoded))
 
 
 def forget(packed: CompressedTransfer) -> None:
     """Free the memory of `decode_all`."""
-    _decoded.pop(packed, None)
+    _decoded.forget(packed)
 
 
 def reconstruct(packed: CompressedTransfer, vertices: NDArray[np.integer] | None = None) -> NDArray[np.float32]:
@@ -143,4 +137,4 @@ def coded_along_principal_axes(packed: CompressedTransfer) -> tuple[bool, ...]:
     return () if packed.coded is None else tuple(content.principal_axes for content in packed.coded.caps)
 
 
-_decoded: WeakKeyDictionary[CompressedTransfer, tuple[CapCoefficients, ...]] = WeakKeyDictionary()
+_decoded: Kept[CompressedTransfer, tuple[CapCoefficients, ...]] = Kept()

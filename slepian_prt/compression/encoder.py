@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.attempts import Attempt, CodedCap, Coder, LocalCoder
 from slepian_prt.compression.bases import Candidate
@@ -24,6 +23,7 @@ from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.projection import Projection, count_by_rule
 from slepian_prt.compression.refinement import refine
 from slepian_prt.errors import UserError
+from slepian_prt.machine.threads import one_blas_thread
 
 # With a given number of functions, rounding may add this part to the squared error of leaving out the others.
 _ROUNDING_SHARE = 0.1
@@ -181,7 +181,7 @@ def _encode_coded(
     total, missed = blocks.energies()
     wanted = allowed_distortion(projection, total, missed)
     # Many small problems: threads of BLAS gain nothing, and cost minutes where the cores are busy.
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         tuning, encoded = _encode_to_distortion(projection, blocks, coder, wanted, warm_start)
     sizes = learned.clusters.sizes
     used = np.array([cap.used / learned.channels for cap in encoded]) + (projection.bases[0].mean is not None)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.bases import Candidate, Frame, Problem, candidates
 from slepian_prt.compression.clustering import Clusters, frames_of, spread
@@ -17,6 +16,7 @@ from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import PilotStatistics, decorrelate, learn, pilot_vertices
 from slepian_prt.compression.principal_components import pca_candidates
 from slepian_prt.compression.settings import CompressionSettings
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.scene.receivers import Receivers
 
 
@@ -113,7 +113,7 @@ def learn_bases(
     coded = settings.resolved_coding == "coded"
     # The decoder knows the normals, and adds what they tell again.
     normals = None if toward_view or not coded else receivers.normals.astype(np.float32).astype(np.float64)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         pilot = learn(grouping.clusters, grouping.axes, vertices, decorrelate(vectors), normals)
         weights = None if settings.light_prior is None else settings.light_prior.weights
         problem = Problem(bandlimit, _frames(settings, grouping), pilot, weights)

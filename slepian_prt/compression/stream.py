@@ -31,6 +31,7 @@ from slepian_prt.compression.tracing_by_workers import trace_by_workers
 from slepian_prt.errors import check_transfer
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.checks import check_axes, check_vectors
 from slepian_prt.transport.effects import Effect
@@ -54,6 +55,7 @@ def _silent(*_: object) -> None:
     """Reports to nobody."""
 
 
+@one_blas_thread()
 def compress(
     transfer: Transfer,
     basis: str = "adapted",
@@ -221,6 +223,7 @@ def encode_transfer(
     )
 
 
+@one_blas_thread()
 def compress_scene(
     scene: SceneSource,
     settings: CompressionSettings,

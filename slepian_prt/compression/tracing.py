@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.attempts import LocalCoder
 from slepian_prt.compression.blocks import ProjectedCaps
@@ -24,6 +23,7 @@ from slepian_prt.compression.fingerprint import fingerprint
 from slepian_prt.compression.learning import LearnedBases
 from slepian_prt.compression.projection import Projection, choose_projection, widen
 from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.transport.estimator import Estimator, TransferBlock
 from slepian_prt.transport.fixed_lights import direct_fixed_lights
 from slepian_prt.transport.interior import InteriorVertices, find_interior
@@ -198,6 +198,6 @@ def project_interior_of_piece(
         visible = np.unique(weights.indices)
         vectors = (weights[:, visible] @ source.estimate(visible).vectors[:, 0]).astype(np.float32)
         block = TransferBlock(vertices, vectors[:, None, :], np.ones(vertices.size, dtype=np.float32), 0)
-        with threadpool_limits(1, "blas"):  # as all other blocks
+        with one_blas_thread():  # as all other blocks
             blocks.append(projection.block(block))
     return blocks

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.attempts import lost_by_degree
 from slepian_prt.compression.blocks import CapBlocks
@@ -26,6 +25,7 @@ from slepian_prt.compression.pilot import channel_mixing
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.projection import Projection
 from slepian_prt.lighting.spectrum import light_power
+from slepian_prt.machine.threads import one_blas_thread
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def try_caps(projection: Projection, blocks: CapBlocks, caps: Sequence[int]) -> 
     begin = time.perf_counter()
     samples, rows = [blocks.coefficients(c) for c in caps], blocks.rows(caps)
     read = time.perf_counter()
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         distortion = allowed_distortion(projection, total, missed)
         axes = principal_axes_asked(projection)
         tuning = tune(samples, rows, distortion, blocks.largest() / LARGEST_MULTIPLE, axes)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from slepian_prt.distributed.examination import Equipment, examine, look_around, package_versions, sharing_of
 from slepian_prt.distributed.held import use_threads
 from slepian_prt.errors import UserError
+from slepian_prt.machine.threads import keep_one_blas_thread, take_share
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -89,6 +90,7 @@ class Admission:
 async def _equip(mark: str, threads: int, variant: str, dask_worker: Any = None) -> None:
     """On a worker: threads of Mitsuba, which its next task begins with, of BLAS, and the mark."""
     await asyncio.get_running_loop().run_in_executor(None, _limit_blas)
+    threads = take_share(threads)
     if variant.startswith("llvm"):
         use_threads(threads)
     if dask_worker.state.total_resources.get(mark) != 1:
@@ -96,9 +98,7 @@ async def _equip(mark: str, threads: int, variant: str, dask_worker: Any = None)
 
 
 def _limit_blas() -> None:
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(1, "blas")
+    keep_one_blas_thread()
 
 
 def _wake(addresses: list[str], dask_scheduler: Any = None) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import importlib.metadata
-import os
 import platform
 import re
 from collections import Counter
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.cores import allowed_cores, usable_cores
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -178,8 +178,5 @@ def _vector_units() -> list[str]:
 
 
 def _cores() -> tuple[int, ...]:
-    """The cores that this process may run on, as many of them as a container's quota is worth."""
-    from dask.system import CPU_COUNT
-
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
-    return tuple(cores)[: max(1, CPU_COUNT)]
+    """The cores that this process may run on, as many of them as its control group's quota is worth."""
+    return allowed_cores()[: usable_cores()]

@@ -29,6 +29,7 @@ from slepian_prt.evaluation.reference import ReferencePicture, ReferenceVertices
 from slepian_prt.evaluation.references import WantedReferences, find_references
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.projection import project_environment
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.relighting.drawing.backdrop import draw_backdrop
 from slepian_prt.relighting.drawing.camera import Camera, aim_camera, trace_camera
 from slepian_prt.relighting.drawing.pictures import MAP, Finish
@@ -55,6 +56,7 @@ _LARGEST_TERMS = 1 << 20
 Report = Callable[[str], None]
 
 
+@one_blas_thread()
 def compare(
     scene: SceneSource,
     environments: Sequence[Environment],

@@ -18,6 +18,7 @@ from slepian_prt.lighting.fitting import check_lighting, fit_lighting, is_lighti
 from slepian_prt.lighting.light_text import is_light_text, read_light_text
 from slepian_prt.lighting.map_files import Checked, array_rows, file_rows
 from slepian_prt.lighting.texel_projection import TexelProjection
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.sphere.rotation import rotate_sh
 
 log = logging.getLogger(__name__)
@@ -64,6 +65,7 @@ def project_environment(
     return project_checked(environment, bandlimit, rotate=rotate, clamp_negative=clamp_negative)[0]
 
 
+@one_blas_thread()
 def project_checked(
     environment: Environment | str | Path | ArrayLike | Any,
     bandlimit: int,
@@ -100,6 +102,7 @@ def project_checked(
     return lighting, checked.clamped
 
 
+@one_blas_thread()
 def lighting_at(
     light: Environment | str | Path | ArrayLike | Any, bandlimit: int, *, clamp_negative: bool = False
 ) -> NDArray[np.float64]:

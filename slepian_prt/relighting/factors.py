@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import CapCoefficients, decode_all
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import channel_mixing
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.relighting.mean_functions import MeanFunctions, shared_half_angle
 from slepian_prt.sphere.harmonics import degrees, num_coefficients
 from slepian_prt.sphere.rotation import rotate_sh, rotation_to
@@ -117,7 +117,7 @@ def all_factors(packed: CompressedTransfer) -> list[Factors]:
     decoded = decode_all(packed)
     maker = _Maker(packed)
     # Threads of BLAS that wait for each other make many small problems slow, by minutes on a busy machine.
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         parts = [maker.of_cap(c, coefficients) for c, coefficients in enumerate(decoded)]
         if packed.coded is not None:
             error = packed.predicted_error_under_prior

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import forget
+from slepian_prt.machine.kept import Kept
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.relighting.factors import Factors, all_factors
 
 # OpenBLAS multiplies by one thread where rows, columns and what is summed multiply to no more than this. Threads that
@@ -132,15 +132,15 @@ class TransferOperator:
         """Numbers that are read for each light: coefficients and functions."""
         return sum(strip.size for group in self.groups for strip in group.strips) + self.functions.size
 
+    @one_blas_thread()
     def apply(self, lighting: NDArray) -> NDArray[np.float32]:
         """(B, V, 3) radiance for unit albedo under B lightings (B, 3, (L+1)²)."""
         lights = np.asarray(lighting, dtype=np.float32)
         if len(lights) == 1:
             return self._apply_one(lights[0])[None]
-        # Threads of BLAS that wait for each other made 60 lights 50 times slower on a busy machine.
-        with threadpool_limits(1, "blas"):
-            return self._apply_many(lights)
+        return self._apply_many(lights)
 
+    @one_blas_thread()
     def adjoint(self, gradient: NDArray) -> NDArray[np.float64]:
         """(B, 3, (L+1)²) from gradients (B, V, 3) of radiance: the transpose of `apply`."""
         count = len(gradient)
@@ -216,11 +216,13 @@ def transfer_operator(packed: CompressedTransfer) -> TransferOperator:
 
     Of coded transfer, functions are left out that hold less than a hundredth of its error.
     """
-    known = _operators.get(packed)
-    if known is None:
-        known = _operators[packed] = TransferOperator(all_factors(packed), packed.clusters.members)
+
+    def make() -> TransferOperator:
+        made = TransferOperator(all_factors(packed), packed.clusters.members)
         forget(packed)  # what was decoded is as large as what was made of it
-    return known
+        return made
+
+    return _operators.of(packed, make)
 
 
-_operators: WeakKeyDictionary[CompressedTransfer, TransferOperator] = WeakKeyDictionary()
+_operators: Kept[CompressedTransfer, TransferOperator] = Kept()

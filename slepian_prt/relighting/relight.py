@@ -15,6 +15,7 @@ from slepian_prt.errors import UserError, check_transfer
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.lighting.projection import lighting_at, project_checked, rotation_matrix
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.scene.view import up_rotation
 from slepian_prt.sphere.harmonics import num_coefficients
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 NOISE = 0.01
 
 
+@one_blas_thread()  # so that bits do not depend on what other threads do meanwhile
 def relight(
     transfer: Transfer | CompressedTransfer,
     lighting: str | Path | Environment | ArrayLike | None,
@@ -98,6 +100,7 @@ def relight(
     return radiance if lights.ndim == 3 else radiance[0]
 
 
+@one_blas_thread()
 def white_radiance(
     transfer: Transfer | CompressedTransfer,
     lighting: NDArray[np.float64],

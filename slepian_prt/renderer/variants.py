@@ -13,6 +13,8 @@ from typing import Any
 
 from slepian_prt.errors import UserError
 from slepian_prt.renderer import llvm
+from slepian_prt.renderer.forks import check_not_forked
+from slepian_prt.renderer.threads import size_pool_once
 
 # A triangle as well: OptiX traces it by hardware, and the sphere by a program of its own.
 _CUDA_PROBE = """
@@ -173,15 +175,26 @@ def _is_for_heavy_work(variant: str) -> bool:
 
 
 def bitmap_module() -> ModuleType:
-    """Mitsuba with some variant set, enough to read and write pictures; needs no LLVM."""
-    mi = imported_mitsuba()
+    """Mitsuba with some variant set, enough to read and write pictures; needs no LLVM, and no threads but for EXR."""
+    mi = _imported()
     if mi.variant() is None:
         mi.set_variant("scalar_rgb")
     return mi
 
 
 def imported_mitsuba() -> ModuleType:
-    """Mitsuba, whatever its variant, with LLVM found for those that need it."""
+    """Mitsuba, whatever its variant, with LLVM found for those that need it, and no more threads than work may use.
+
+    Raises
+    ------
+    UserError
+        In a process that was forked after Mitsuba was imported.
+    """
+    check_not_forked()
+    return _imported()
+
+
+def _imported() -> ModuleType:
     if "drjit" not in sys.modules and "DRJIT_LIBLLVM_PATH" not in os.environ:
         # Dr.Jit looks for LLVM once, at the first use of any LLVM variant, also one that the user sets later.
         path, _ = llvm.find()
@@ -190,4 +203,5 @@ def imported_mitsuba() -> ModuleType:
             llvm.load_neighbours(path)
     import mitsuba
 
+    size_pool_once()
     return mitsuba

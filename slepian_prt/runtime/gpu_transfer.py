@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.decoder import forget
@@ -22,6 +21,7 @@ from slepian_prt.compression.prediction import Expectation
 from slepian_prt.errors import UserError, check_integer, check_transfer
 from slepian_prt.lighting.fitting import one_light
 from slepian_prt.lighting.spectrum import expected_power, falling_prior
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.relighting.factors import all_factors
 from slepian_prt.runtime.energies import DegreeEnergies
 from slepian_prt.runtime.groups import Group, group_caps
@@ -206,7 +206,7 @@ def gpu_transfer(
     parts = all_factors(packed)
     forget(packed)
     # Threads of BLAS that wait for each other make many small problems slow.
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         groups = group_caps(parts, packed.clusters.members, active, weights, caps)
         clusters = [cluster for group in _split(groups, caps, count - 1) for cluster in group]
         return _assemble(packed, clusters, _Wanted(count, bits, weights))

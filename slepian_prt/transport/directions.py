@@ -11,7 +11,6 @@ projection of any vertex is a sum of table rows.
 from __future__ import annotations
 
 import math
-import os
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,8 +21,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from threadpoolctl import threadpool_limits
 
+from slepian_prt.machine.threads import one_blas_thread, run_in_threads, thread_count
 from slepian_prt.scene.mesh import half_edges
 from slepian_prt.scene.receivers import morton
 from slepian_prt.slepian.kernels import cosine_lobe
@@ -119,7 +118,7 @@ class DirectionSet:
         pulled = rule.copy()
         # Its first call solves a tiny system for each triangle, for which threads of BLAS would wait for each other: up
         # to seconds for milliseconds of work.
-        with threadpool_limits(1, "blas"):
+        with one_blas_thread():
             triangle = self.triangulation.find_simplex(pulled)
             while (outside := triangle < 0).any():
                 pulled[outside] *= 0.996
@@ -192,9 +191,7 @@ def _tables(directions: DirectionSet, bandlimit: int) -> Tables:
         cut = _cut_off(to_corners[chosen], within, end - begin)
         corners[begin:end] = (cut @ harmonics).reshape(-1, _SHAPES, size)
 
-    # NumPy and SciPy let go of the interpreter.
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(fill, range(0, count, _TRIANGLES_AT_ONCE)))
+    run_in_threads(fill, range(0, count, _TRIANGLES_AT_ONCE))  # NumPy and SciPy let go of the interpreter
     # The rule is good to about 1e-4; what all triangles together make is known exactly.
     exact = (real_sh(bandlimit, np.array([[0.0, 0.0, 1.0]])) * cosine_lobe(bandlimit)[degrees(bandlimit)])[0]
     share = np.bincount(triangle, minlength=count)[:, None] / len(rule)
@@ -228,7 +225,7 @@ def _relaxed(n: int) -> NDArray[np.float64]:
     from scipy.spatial import cKDTree
 
     points, rule = _spiral(n), _spiral(32 * n)
-    parts = np.array_split(rule, os.cpu_count() or 1)
+    parts = np.array_split(rule, thread_count())
     # Threads of our own, which are waited for: those of SciPy go on after an interrupt, on memory that is freed then.
     with ThreadPoolExecutor(len(parts)) as pool:
         for _ in range(_RELAXATIONS):

@@ -14,8 +14,8 @@ from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
@@ -164,7 +164,7 @@ def overlapped(
     those that it keeps spinning after a product would take the cores from the tracer: that alone cost a quarter of the
     time.
     """
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(1) as worker:
+    with one_blas_thread(), ThreadPoolExecutor(1) as worker:
         pending: deque[Future[Result]] = deque()
         try:
             for item in items:

@@ -7,9 +7,7 @@ convergence they are the Neumann series (1 - R diag(ρ))⁻¹ T_0.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -19,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from slepian_prt.machine.threads import run_in_threads
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
 from slepian_prt.transport.directions import direction_set
@@ -216,8 +215,8 @@ def add_bounces(
         reflectance = reflectance_of(albedo, channels, channel)
         total[:, channel, columns] = follow_bounces(gather, reflectance, light, light.copy(), bounces, channel)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # scipy's sparse product lets go of the interpreter
-        list(pool.map(lambda piece: bounce(*piece), product(range(channels), cut_columns(direct.shape[1]))))
+    # scipy's sparse product lets go of the interpreter
+    run_in_threads(lambda piece: bounce(*piece), product(range(channels), cut_columns(direct.shape[1])))
     return total
 
 

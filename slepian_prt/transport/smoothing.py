@@ -14,9 +14,7 @@ in high degrees of a few paths, hardly where vectors are clean.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.threads import run_in_threads
 from slepian_prt.sphere.harmonics import num_coefficients
 
 # Each band: how many times as wide the guides are taken, and how often the mean is applied. First along what the guides
@@ -115,8 +114,7 @@ def smooth(
         )
 
     # Those with most coefficients first; scipy's sparse product lets go of the interpreter.
-    with ThreadPoolExecutor(min(_WORKERS, os.cpu_count() or 1)) as pool:
-        list(pool.map(smooth_degree, reversed(range(bandlimit + 1))))
+    run_in_threads(smooth_degree, reversed(range(bandlimit + 1)), _WORKERS)
     size = float(np.linalg.norm(vectors))
     removed = float(np.linalg.norm(result - vectors)) / size if size > 0.0 else 0.0
     return Smoothed(result, left, removed, gains)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.scene.scene import Scene
 from slepian_prt.scene.view import View
 from slepian_prt.slepian.kernels import cosine_lobe
@@ -108,7 +108,7 @@ class Survey(SurveyedScene):
         """Look at a scene; the pilot is chosen at random by ``seed``. Toward a camera no ``paths`` are looked at."""
         receivers = np.flatnonzero(scene.receivers.active)
         possible = np.flatnonzero(shadowed_vertices(scene))
-        with threadpool_limits(1, "blas"):  # the plan is in the file, which is not to depend on the number of cores
+        with one_blas_thread():  # the plan is in the file, which is not to depend on the number of cores
             pilot = _trace_pilot(scene, possible, receivers.size, seed)
         if pilot.blocked.mean > _INTERIOR:
             scene = scene.in_robust_mode  # where little light comes in, what slips through counts

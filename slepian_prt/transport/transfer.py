@@ -15,6 +15,7 @@ from slepian_prt.distributed.given import given_crew
 from slepian_prt.errors import check_bandlimit
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import FixedLights
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.scene.film import Film
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
@@ -165,6 +166,7 @@ class Transfer(Summarised):
         }
 
 
+@one_blas_thread()
 def precompute(
     scene: SceneSource,
     bandlimit: int = 10,

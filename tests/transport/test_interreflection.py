@@ -125,7 +125,7 @@ def test_cornell_box_agrees_with_the_path_tracer(cornell):
 
 def test_bounces_hold_a_few_columns_at_a_time(monkeypatch, rng):
     """Beside transfer itself: what is bounced, what it becomes and their sum, of 16 columns, by each thread."""
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    monkeypatch.setenv("SLEPIAN_PRT_THREADS", "1")
     bowl = spherical_bowl(0.7, 24)
     count, size, seen = len(bowl.positions), 441, 20
     places = (rng.random((count, seen)) * count).astype(np.int32)

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.machine.kept import Kept
 from slepian_prt.scene.receivers import Receivers, morton
 
 if TYPE_CHECKING:
@@ -114,10 +114,7 @@ class CapRows:
 
 def surface_of(receivers: Receivers) -> Surface:
     """The surface of receivers, made once, so that all that code or decode the same caps share it."""
-    known = _surfaces.get(receivers)
-    if known is None:
-        known = _surfaces[receivers] = Surface(receivers)
-    return known
+    return _surfaces.of(receivers, lambda: Surface(receivers))
 
 
 class Surface:
@@ -326,4 +323,4 @@ def _first_entries(matrix: csr_array, count: int) -> csr_array:
     return _sparse((matrix.data[kept], matrix.indices[kept], ends), shape=matrix.shape)
 
 
-_surfaces: WeakKeyDictionary[Receivers, Surface] = WeakKeyDictionary()
+_surfaces: Kept[Receivers, Surface] = Kept()

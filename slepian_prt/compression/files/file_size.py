@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
-from weakref import WeakKeyDictionary
 
 from slepian_prt.compression.files import container
+from slepian_prt.machine.kept import Kept
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -36,20 +36,26 @@ class FileSize(NamedTuple):
 
 def file_size(packed: CompressedTransfer) -> FileSize:
     """Of the file that transfer was written to or read from last, or else of one that it would be written to."""
-    if packed not in _sizes:
+
+    def would_be() -> FileSize:
         from slepian_prt.compression.files.prt_file import content_of
 
-        remember_size(packed, container.sizes_of(*content_of(packed)))
-    return _sizes[packed]
+        return _of_members(container.sizes_of(*content_of(packed)))
+
+    return _sizes.of(packed, would_be)
 
 
 def remember_size(packed: CompressedTransfer, members: Mapping[str, int]) -> None:
     """Transfer was written or read, and its file has members of so many bytes."""
+    _sizes.put(packed, _of_members(members))
+
+
+def _of_members(members: Mapping[str, int]) -> FileSize:
     kinds = {name: name.partition("/")[0] for name in members}
     mesh = sum(size for name, size in members.items() if kinds[name] in _MESH)
     others = sum(size for name, size in members.items() if kinds[name] in (*_LIGHT, "manifest.json"))
     whole = sum(members.values()) + container.END
-    _sizes[packed] = FileSize(whole - mesh - others, mesh, whole)
+    return FileSize(whole - mesh - others, mesh, whole)
 
 
-_sizes: WeakKeyDictionary[CompressedTransfer, FileSize] = WeakKeyDictionary()
+_sizes: Kept[CompressedTransfer, FileSize] = Kept()

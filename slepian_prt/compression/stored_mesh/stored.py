@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from slepian_prt.compression.stored_mesh.planes import from_ordered, from_planes
 from slepian_prt.compression.stored_mesh.reflectance import pack_albedo, unpack_albedo
 from slepian_prt.compression.stored_mesh.schema import check_mesh
 from slepian_prt.compression.stored_mesh.surface_normals import Surface, pack_normals, unpack_normals
+from slepian_prt.machine.kept import Kept
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.receivers import Receivers
 from slepian_prt.scene.scene import Part
@@ -60,7 +60,7 @@ def store_mesh(mesh: Mesh, parts: Sequence[Part], *, exact: bool = False) -> Sto
     ValueError
         The parts do not fit the mesh.
     """
-    known = _stored.setdefault(mesh.receivers, {})
+    known = _stored.of(mesh.receivers, dict)
     wanted = (tuple(parts), exact)
     if wanted not in known:
         known[wanted] = _store(mesh, parts, exact)
@@ -196,4 +196,4 @@ def _with_all_bits(
 # Arrays that are written on request.
 _OF_SOURCE = ("mesh/order", "mesh/source")
 
-_stored: WeakKeyDictionary[Receivers, dict[tuple[tuple[Part, ...], bool], StoredMesh]] = WeakKeyDictionary()
+_stored: Kept[Receivers, dict[tuple[tuple[Part, ...], bool], StoredMesh]] = Kept()

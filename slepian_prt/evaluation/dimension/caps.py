@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import check_epsilon
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.slepian.concentration import cap_basis
 from slepian_prt.slepian.shannon import concentration_count, count_above
 from slepian_prt.sphere.caps import cap_area
@@ -74,7 +74,7 @@ def cap_dimensions(packed: CompressedTransfer, error: float) -> tuple[CapDimensi
     is_surface = packed.film is None
     areas = vertex_areas(packed.mesh) if is_surface else np.ones(len(vectors))
     found = []
-    with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
+    with one_blas_thread():  # matrices are small: more threads wait for each other
         for number, (cap, members) in enumerate(zip(packed.clusters.caps, packed.clusters.members, strict=True)):
             lit = members[active[members]]
             if lit.size == 0:
@@ -110,6 +110,6 @@ def count_concentrations(bandlimit: int, half_angle: float, epsilon: float = EPS
     of the largest instead of their own.
     """
     epsilon = check_epsilon(epsilon)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         energies = cap_basis(bandlimit, half_angle, kernel=np.ones(bandlimit + 1)).eigenvalues
     return count_above(energies * cap_area(half_angle), epsilon)

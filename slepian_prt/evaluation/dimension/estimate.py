@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -10,11 +9,11 @@ from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError, check_real, check_transfer
 from slepian_prt.evaluation.dimension.neighbourhoods import Neighbourhood, Surface
+from slepian_prt.machine.threads import one_blas_thread, thread_count
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.summary import Summarised
 from slepian_prt.transport.checks import check_finite, check_vectors
@@ -165,7 +164,7 @@ def effective_dimension(
     used = mesh.positions[active]
     radius = neighbourhood * float(np.linalg.norm(np.ptp(used, axis=0)))
     surface = Surface(mesh, radius)
-    with threadpool_limits(1, "blas"):  # matrices are small: more threads wait for each other
+    with one_blas_thread():  # matrices are small: more threads wait for each other
         dimension, counts = _over_surface(surface, vectors, error, advance)
     functions = num_coefficients(transfer.bandlimit)
     areas = surface.areas.copy()
@@ -186,7 +185,7 @@ def _over_surface(
         return dimension_of_vectors(vectors[about.members], about.areas, error)
 
     wanted = _covering(surface, advance)
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, _THREADS)) as threads:
+    with ThreadPoolExecutor(min(thread_count(), _THREADS)) as threads:
         while batch := list(islice(wanted, _AT_ONCE)):
             for about, found in zip(batch, threads.map(dimension, batch), strict=True):
                 counts.append(about.members.size)

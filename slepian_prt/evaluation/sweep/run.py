@@ -25,6 +25,7 @@ from slepian_prt.evaluation.sweep.measure import SettingMeasurer, measure_refere
 from slepian_prt.evaluation.sweep.results import Point, Sweep
 from slepian_prt.evaluation.vertex_error import MapMetric
 from slepian_prt.lighting.environment import Environment
+from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.planned import PlannedScene, plan_scene
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from slepian_prt.scene.loading import SceneSource
 
 
+@one_blas_thread()
 def sweep(
     scene: SceneSource,
     environments: Sequence[Environment],

@@ -8,7 +8,6 @@ and as in one process.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from slepian_prt.distributed.held import value_of
+from slepian_prt.machine.threads import run_in_threads
 from slepian_prt.transport.interreflection import (
     Source,
     count_bounces,
@@ -112,8 +112,6 @@ def _assemble(found: Sequence[Sequence[tuple[NDArray, NDArray]]], like: NDArray)
 
 
 def _follow(_scene: Any, item: tuple[Shared, list[list[Rows]], int, slice, int]) -> NDArray[np.float32]:
-    import drjit as dr
-
     handle, parts, channel, columns, bounces = item
     reflectance, light, collected = value_of(handle).of(channel, columns)
     whole, pieces = _Whole(parts), cut_columns(light.shape[1])
@@ -122,8 +120,7 @@ def _follow(_scene: Any, item: tuple[Shared, list[list[Rows]], int, slice, int])
         own = np.ascontiguousarray(light[:, piece])
         return follow_bounces(whole, reflectance, own, collected[:, piece], bounces, channel)
 
-    with ThreadPoolExecutor(dr.thread_count()) as pool:  # scipy's sparse product lets go of the interpreter
-        list(pool.map(follow, pieces))
+    run_in_threads(follow, pieces)  # scipy's sparse product lets go of the interpreter
     return collected
 
 

@@ -1,0 +1,200 @@
+"""How many threads work gets: those of BLAS, our own, and Mitsuba's. Decided here and nowhere else.
+
+BLAS gets one, for all sizes. Its threads spin while they wait for each other: that costs the last of them a time slice
+wherever another process wants the cores, at each of the thousands of products and decompositions of a run. On two
+cores, clustered PCA of 50,000 vertices took 75 s with two threads beside two busy loops, 6.8 s idle, and 5.2 s with one
+idle. What gains from more cores is cut into blocks that do not wait for each other, for threads of our own
+(`map_in_threads`), which degrade as all programs do. So results do not depend on the number of cores either.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Lock
+from typing import Any, TypeVar
+
+from slepian_prt.errors import UserError
+from slepian_prt.machine.cores import usable_cores
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# The environment variable that says how many threads work may use.
+THREADS = "SLEPIAN_PRT_THREADS"
+
+# What libraries of BLAS are told before they are loaded, so that they start no threads at all.
+_BLAS_VARIABLES = (
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+
+
+# Of a process that has the machine with others of the same work.
+_share: list[int] = []
+
+
+def thread_count() -> int:
+    """Threads that work may use: what ``SLEPIAN_PRT_THREADS`` says, or as many as there are `usable_cores`.
+
+    In workers that share a machine, no more than their share.
+
+    Raises
+    ------
+    UserError
+        The variable is no number of threads.
+    """
+    given = os.environ.get(THREADS)
+    return min([usable_cores() if not given else check_threads(given, THREADS), *_share])
+
+
+def take_share(count: int) -> int:
+    """From now on this process has so many threads at most; `thread_count` after that."""
+    _share[:] = [count]
+    return thread_count()
+
+
+def check_threads(count: Any, name: str = "threads") -> int:
+    """Return it as an int; raise UserError unless it is a whole number from 1 to 1024."""
+    try:
+        number = int(count)
+    except (TypeError, ValueError):
+        number = 0
+    if not 1 <= number <= 1024 or (isinstance(count, float) and count != number):
+        raise UserError(f"{name} must be a whole number from 1 to 1024, not {count!r}")
+    return number
+
+
+@contextmanager
+def count_given(count: int) -> Iterator[None]:
+    """Within the block, `thread_count` is that, also in processes that are started; raise as `check_threads`."""
+    before = os.environ.get(THREADS)
+    os.environ[THREADS] = str(check_threads(count))
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[THREADS]
+        else:
+            os.environ[THREADS] = before
+
+
+def map_in_threads(
+    function: Callable[[Item], Result], items: Iterable[Item], most: int | None = None
+) -> Iterator[Result]:
+    """Results of all items, in order, from several threads with one of BLAS each; few items are taken ahead.
+
+    Parameters
+    ----------
+    function : callable
+        That lets go of Python's lock for most of its time, as NumPy and SciPy do.
+    items : iterable
+    most : int, optional
+        Of threads, where each takes much memory.
+    """
+    count = thread_count() if most is None else min(thread_count(), most)
+    with one_blas_thread():
+        if count == 1:
+            yield from map(function, items)
+            return
+        with ThreadPoolExecutor(count) as pool:
+            pending: deque[Future[Result]] = deque()
+            try:
+                for item in items:
+                    pending.append(pool.submit(function, item))
+                    if len(pending) > 2 * count:
+                        yield pending.popleft().result()
+                while pending:
+                    yield pending.popleft().result()
+            finally:
+                for future in pending:
+                    future.cancel()
+
+
+def run_in_threads(function: Callable[[Item], object], items: Iterable[Item], most: int | None = None) -> None:
+    """As `map_in_threads`, where nothing is returned."""
+    for _ in map_in_threads(function, items, most):
+        pass
+
+
+def start_with_one_blas_thread() -> None:
+    """For a process that is ours alone, before NumPy is imported: BLAS starts without threads to wait for."""
+    os.environ.update(dict.fromkeys(_BLAS_VARIABLES, "1"))
+
+
+class _OneThread:
+    """Libraries of BLAS with one thread each while anybody needs it, and as they were after the last has left.
+
+    `threadpoolctl.threadpool_limits` sets back what each block has found, so that of two threads whose blocks overlap
+    one takes the limit from the other, and the last leaves it behind.
+    """
+
+    def __init__(self) -> None:
+        self._libraries: list[Any] = []
+        self._modules = -1
+        self.forget_users()
+
+    def forget_users(self) -> None:
+        """In a forked process, where nobody else is left."""
+        self._lock = Lock()
+        self._users = 0
+        self._before: dict[str, int] = {}
+
+    def __enter__(self) -> None:
+        with self._lock:
+            # Importing SciPy loads a BLAS of its own, also within a block.
+            if self._modules != len(sys.modules):
+                self._find()
+                self._limit()
+            elif self._users == 0:
+                self._limit()
+            self._users += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                for library in self._libraries:
+                    if library.filepath in self._before:
+                        library.set_num_threads(self._before[library.filepath])
+                self._before.clear()
+
+    def _find(self) -> None:
+        """The libraries that are loaded; it takes a quarter of a millisecond, as long as to relight a small model."""
+        from threadpoolctl import ThreadpoolController
+
+        self._libraries = [found for found in ThreadpoolController().lib_controllers if found.user_api == "blas"]
+        self._modules = len(sys.modules)
+
+    def _limit(self) -> None:
+        for library in self._libraries:
+            threads = library.get_num_threads()
+            if threads is not None and threads > 1:
+                self._before.setdefault(library.filepath, threads)
+                library.set_num_threads(1)
+
+
+_one_thread = _OneThread()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=lambda: _one_thread.forget_users())
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Products and decompositions within the block run in the thread that asks for them; also a decorator.
+
+    For any number of threads at once, whose blocks may overlap.
+    """
+    with _one_thread:
+        yield
+
+
+def keep_one_blas_thread() -> None:
+    """From now on, as long as the process lives: in workers, which are ours alone."""
+    _one_thread.__enter__()
