@@ -9,14 +9,11 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.codec.cap_stream import CapBytes
 from slepian_prt.compression.codec.caps import Coded, Tuning
-from slepian_prt.compression.codec.contexts import BASES, CONTEXTS, RAREST_SHARE, WIDTH_CONTEXTS, WIDTHS, Contexts
+from slepian_prt.compression.codec.contexts import BASES, CONTEXTS, WIDTH_CONTEXTS, WIDTHS, Contexts
 from slepian_prt.compression.codec.lanes import LaneWords
-from slepian_prt.compression.codec.models import MODELS
-from slepian_prt.compression.codec.prediction import LARGEST_GAIN, PARTS, Predictor
+from slepian_prt.compression.codec.prediction import Predictor
 from slepian_prt.compression.codec.surface import DEPTHS
-
-# Rows of "coded/caps".
-_LANES, _WORDS, _BITS, _WIDTH, _AXES, _CHECKSUM = range(6)
+from slepian_prt.compression.files.array_values import AXES, BITS, CHECKSUM, LANES, WIDTH, WORDS
 
 
 def pack_coded(coded: Coded) -> dict[str, NDArray]:
@@ -52,48 +49,26 @@ def unpack_coded(arrays: dict[str, NDArray], step: float, caps: int) -> Coded:
 
     Raises
     ------
-    ValueError, KeyError
-        Arrays that do not fit together, or whose checksum is another.
+    ValueError
+        The checksum of a cap is another.
     """
     table = arrays["coded/caps"].astype(np.int64)
-    if table.shape != (6, caps):
-        raise ValueError("number of coded caps")
-    parts = []
-    for name, row, kind in (("words", _WORDS, "u2"), ("bits", _BITS, "u1"), ("lanes", _LANES, "u2")):
-        array = arrays.get(f"coded/{name}", np.zeros(0, dtype=kind))
-        if table[row].sum() != array.size or array.dtype != kind:
-            raise ValueError(f"number of {name}")
-        parts.append(np.split(array, np.cumsum(table[row])[:-1]))
+    parts = [
+        np.split(arrays.get(f"coded/{name}", np.zeros(0, dtype=kind)), np.cumsum(table[row])[:-1])
+        for name, row, kind in (("words", WORDS, "u2"), ("bits", BITS, "u1"), ("lanes", LANES, "u2"))
+    ]
     contents = []
     for words, bits, lanes, column in zip(*parts, table.T, strict=True):
-        content = CapBytes(LaneWords(lanes, words), bits, int(column[_WIDTH]), bool(column[_AXES]))
-        if _checksum(content) != column[_CHECKSUM]:
+        content = CapBytes(LaneWords(lanes, words), bits, int(column[WIDTH]), bool(column[AXES]))
+        if _checksum(content) != column[CHECKSUM]:
             raise ValueError("checksum of a cap")
         contents.append(content)
-    steps, contexts = np.split(arrays["coded/contexts"], [DEPTHS])
-    predictor = _predictor(arrays["coded/prediction"], steps)
-    return Coded(Tuning(step, predictor, _contexts(contexts)), tuple(contents))
-
-
-def _predictor(stored: NDArray[np.uint8], steps: NDArray[np.uint8]) -> Predictor:
-    if len(stored) != 4 or stored[:2].max(initial=0) > LARGEST_GAIN or steps.min() < 1 or steps.max() > PARTS:
-        raise ValueError("prediction")
-    return Predictor(stored[:2], stored[2:], steps)
-
-
-def _contexts(stored: NDArray[np.uint8]) -> Contexts:
-    ends = np.cumsum([CONTEXTS, BASES, WIDTH_CONTEXTS])
-    models, changes, width_table, tables = np.split(stored, ends)
-    if (
-        tables.size == 0
-        or tables.size % WIDTHS
-        or models.max() >= MODELS
-        or max(changes.max(), tables.max()) > RAREST_SHARE
-    ):
-        raise ValueError("contexts")
-    if width_table.max() >= tables.size // WIDTHS:
-        raise ValueError("tables of widths")
-    return Contexts(models, changes, tables.reshape(-1, WIDTHS), width_table)
+    steps, models, changes, width_table, tables = np.split(
+        arrays["coded/contexts"], np.cumsum([DEPTHS, CONTEXTS, BASES, WIDTH_CONTEXTS])
+    )
+    gains, shrinkage = np.split(arrays["coded/prediction"], 2)
+    contexts = Contexts(models, changes, tables.reshape(-1, WIDTHS), width_table)
+    return Coded(Tuning(step, Predictor(gains, shrinkage, steps), contexts), tuple(contents))
 
 
 def _checksum(cap: CapBytes) -> int:

@@ -9,24 +9,28 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.compression.files.array_schema import ARRAYS, ArrayRow
+from slepian_prt.compression.files.known import Known, known_of
+from slepian_prt.compression.files.manifest import FORMAT, VERSION, begin_of, read_manifest
+from slepian_prt.compression.files.members import Misfit, members_of, open_archive, read_array, read_member
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_readable
 
-FORMAT = "slepian_prt transfer"
-VERSION = 3
-
-# What numbers and texts raise that are others than was meant.
-_MISFITS = (KeyError, ValueError, AttributeError, TypeError)
+# A manifest is no longer, and only so many times longer than it is packed, but for short ones.
+_LARGEST_MANIFEST, _SMALL_MANIFEST, _RATIO = 1 << 26, 1 << 20, 32
 
 # A fixed time stamp: the same content gives the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -65,6 +69,8 @@ def sizes_of(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, 
 class Contents:
     """What a file holds: its manifest at once, arrays when they are asked for, each checked against its checksum.
 
+    The manifest is as `read_manifest` finds it to be, arrays as `ARRAYS` has them. No more is read than these allow.
+
     Parameters
     ----------
     path : path
@@ -79,74 +85,108 @@ class Contents:
     Raises
     ------
     UserError
-        Missing, foreign, cut short, damaged, or from another version.
+        Missing, foreign, cut short, damaged, from another version, or with a manifest that does not fit together.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         check_readable(self.path, "a transfer file", "precompute it first")
         self._arrays: dict[str, NDArray] = {}
-        with self._told(), zipfile.ZipFile(self.path) as container:
-            if _UNCOMPRESSED.issubset(container.namelist()):
+        self._complete = False
+        with self.told(), open_archive(self.path) as archive:
+            members = members_of(archive)
+            if _UNCOMPRESSED.issubset(members):
                 raise UserError(
                     f"{path}: holds transfer that is not compressed, from Transfer.save; read it with "
                     "sp.load_transfer, then sp.compress and save it as .prt"
                 )
-            self.manifest = json.loads(container.read("manifest.json"))
-            if self.manifest.get("format") != FORMAT:
-                raise UserError(f"{path}: is not a transfer file of slepian-prt; precompute one")
-            version = self.manifest["version"]
-            if version != VERSION:
-                remedy = "update slepian_prt" if version > VERSION else "precompute it again"
-                raise UserError(f"{path}: has format version {version}, this program reads {VERSION}; {remedy}")
-            self.sizes = _sizes(container)
+            packed = members["manifest.json"]
+            most = min(_LARGEST_MANIFEST, _SMALL_MANIFEST + _RATIO * packed.compress_size)
+            content = read_member(archive, packed, most)
+            self.sizes = _sizes(archive)
+            self._check_version(*begin_of(content))
+            self.manifest = _fitting(read_manifest, content)
+
+    def _check_version(self, form: Any, version: Any) -> None:
+        if form != FORMAT:
+            raise UserError(f"{self.path}: is not a transfer file of slepian-prt; precompute one")
+        if isinstance(version, bool) or version != VERSION:
+            newer = isinstance(version, int) and version > VERSION
+            told, remedy = shorten(str(version), 20), "update slepian_prt" if newer else "precompute it again"
+            raise UserError(f"{self.path}: has format version {told}, this program reads {VERSION}; {remedy}")
 
     def arrays(self) -> dict[str, NDArray]:
-        """All arrays, by name.
+        """All arrays that the manifest has a use for, by name.
 
         Raises
         ------
         UserError
-            Cut short or damaged.
+            Cut short or damaged, or not what the manifest and the other arrays want.
         """
-        return {name: self.array(name) for name in self._read(self.manifest["arrays"])}
+        if not self._complete:
+            known = known_of(self.manifest, frozenset(self.manifest["arrays"]))
+            with self.told(), open_archive(self.path) as archive:
+                members = members_of(archive)
+                self._arrays = {row.name: array for row in ARRAYS for array in _read(archive, members, row, known)}
+            self._complete = True
+        return dict(self._arrays)
 
     def array(self, name: str) -> NDArray:
-        """One array.
+        """One array whose shape the manifest tells.
 
         Raises
         ------
         UserError
-            Not there, cut short or damaged.
+            Not there, cut short, damaged, or not what the manifest wants.
         """
-        self._read([name])
+        if name not in self._arrays:
+            row = next(row for row in ARRAYS if row.name == name)
+            known = known_of(self.manifest, frozenset(self.manifest["arrays"]))
+            with self.told(), open_archive(self.path) as archive:
+                (self._arrays[name],) = _read(archive, members_of(archive), row, known)
         return self._arrays[name]
 
-    def _read(self, names: list[str]) -> list[str]:
-        missing = [name for name in names if name not in self._arrays]
-        if missing:
-            with self._told(), zipfile.ZipFile(self.path) as container:
-                for name in missing:
-                    content = io.BytesIO(container.read(f"{name}.npy"))
-                    self._arrays[name] = np.lib.format.read_array(content, allow_pickle=False)
-        return names
-
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def told(self) -> Iterator[None]:
         """What goes wrong in reading, said in one line."""
         try:
             yield
         except UserError:  # which is a ValueError: said already
             raise
+        except Misfit as error:
+            raise UserError(f"{self.path}: its contents do not fit together ({error}); precompute it again") from None
         # RuntimeError of members that a flipped bit makes encrypted, NotImplementedError of versions to come.
-        except (zipfile.BadZipFile, zlib.error, RuntimeError, *_MISFITS, EOFError) as error:
+        except (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, struct.error, KeyError, ValueError) as error:
             told = error.args[0] if isinstance(error, KeyError) and error.args else error
-            reason = " ".join(str(told).split()) or type(error).__name__
+            reason = shorten(" ".join(str(told).split()), 200) or type(error).__name__
             raise UserError(
                 f"{self.path}: is not a transfer file, or is cut short or damaged ({reason}); precompute it again"
             ) from None
+        except MemoryError:
+            raise UserError(f"{self.path}: needs more memory than there is; precompute it again, coarser") from None
         except OSError as error:
             raise UserError(f"{self.path}: cannot be read ({error.strerror or error})") from None
+
+
+def _read(
+    archive: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo], row: ArrayRow, known: Known
+) -> Iterator[NDArray]:
+    """The array of a row, if the file is to have it."""
+    there = row.there(known)
+    if there is False or (there is None and row.name not in known.names):
+        return
+    if row.name not in known.names:
+        raise Misfit(f"there is no {row.name}")
+    array = read_array(archive, members[f"{row.name}.npy"], partial(row.expect, known))
+    row.accept(known, array)
+    yield array
+
+
+def _fitting(read: Callable[[bytes], dict[str, Any]], content: bytes) -> dict[str, Any]:
+    try:
+        return read(content)
+    except ValueError as error:
+        raise Misfit(str(error)) from None
 
 
 def _fill(container: zipfile.ZipFile, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, int]:

@@ -39,30 +39,11 @@ def pack_film(film: Film, mesh: Mesh) -> tuple[dict[str, Any], dict[str, NDArray
     }
 
 
-def check_film(entry: dict[str, Any], arrays: dict[str, NDArray]) -> None:
-    """Raise ValueError or KeyError for arrays that do not fit the entry."""
-    width, height = int(entry["width"]), int(entry["height"])
-    axes, background, noise, directions = (
-        arrays[f"film/{part}"].shape for part in ("axes", "background", "noise", "directions")
-    )
-    count = width * height
-    fit = axes == (2, count) and noise == (1, count) and background in ((1, count), (3, count))
-    if min(width, height) < 1 or not fit or len(directions) != 4 or directions[3] != 3:
-        raise ValueError("pixels of the film")
-
-
 def unpack_film(
     entry: dict[str, Any], arrays: dict[str, NDArray], name: str, notes: tuple[str, ...]
 ) -> tuple[Film, Mesh]:
-    """The film that `pack_film` packed, and the mesh of its pixels.
-
-    Raises
-    ------
-    ValueError, KeyError
-        Arrays that do not fit the entry.
-    """
-    check_film(entry, arrays)
-    width, height = int(entry["width"]), int(entry["height"])
+    """The film that `pack_film` packed, and the mesh of its pixels."""
+    width, height = entry["width"], entry["height"]
     axes, background, noise = (_sums(arrays[f"film/{part}"]) for part in ("axes", "background", "noise"))
     directions = arrays["film/directions"]
     count = width * height

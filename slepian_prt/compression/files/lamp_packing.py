@@ -55,30 +55,14 @@ def _pack(light: NDArray[np.float32]) -> tuple[NDArray[np.float16], NDArray[np.f
     return full.astype(np.float16), scale
 
 
-def check_lamps(entries: list[dict[str, Any]] | None, arrays: dict[str, NDArray], vertices: int) -> None:
-    """Raise ValueError or KeyError for arrays that do not fit the entries."""
-    for table in _TABLES if entries else ():
-        octets, scales = arrays[f"fixed/{table}"], arrays[f"fixed/{table}_scale"]
-        counts = [int(entry[f"{table}_rows"]) for entry in entries or ()]
-        if octets.dtype != np.uint8 or octets.shape != (2, sum(counts), vertices) or scales.shape != (len(counts), 3):
-            raise ValueError("light of lamps")
-
-
 def unpack_lamps(entries: list[dict[str, Any]] | None, arrays: dict[str, NDArray], vertices: int) -> FixedLights | None:
-    """What `pack_lamps` packed; None of a file without lamps.
-
-    Raises
-    ------
-    ValueError, KeyError
-        Arrays that do not fit the entries.
-    """
+    """What `pack_lamps` packed; None of a file without lamps."""
     if not entries:
         return None
-    check_lamps(entries, arrays, vertices)
     light = {}
     for table in _TABLES:
         octets, scales = arrays[f"fixed/{table}"], arrays[f"fixed/{table}_scale"]
-        counts = [int(entry[f"{table}_rows"]) for entry in entries]
+        counts = [entry[f"{table}_rows"] for entry in entries]
         rows = np.ascontiguousarray(np.moveaxis(octets, 0, 2)).view("<f2")[..., 0].astype(np.float64)
         light[table] = np.zeros((len(entries), vertices, 3), dtype=np.float32)
         for target, scale, own in zip(light[table], scales, np.split(rows, np.cumsum(counts)[:-1]), strict=True):

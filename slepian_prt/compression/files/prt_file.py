@@ -15,7 +15,7 @@ from slepian_prt.compression.files import container
 from slepian_prt.compression.files.file_size import remember_size
 from slepian_prt.compression.files.film_packing import pack_film
 from slepian_prt.compression.files.lamp_packing import pack_lamps
-from slepian_prt.compression.files.stored_transfer import check_schema, stored_transfer
+from slepian_prt.compression.files.stored_transfer import check_arrays, stored_transfer
 from slepian_prt.compression.files.transfer_arrays import pack_transfer
 from slepian_prt.compression.files.vertex_order import in_file_order
 from slepian_prt.compression.stored_mesh.stored import pack_order
@@ -104,7 +104,7 @@ def load(path: str | Path, *, check: bool = True) -> CompressedTransfer:
         _refuse_transport(path)
     contents = container.Contents(path)
     if check:
-        check_schema(contents)
+        check_arrays(contents)
     packed = stored_transfer(contents)
     remember_size(packed, contents.sizes)
     return packed

@@ -49,8 +49,6 @@ def unpack_radial(
 ) -> tuple[list[NDArray[np.int16]], list[NDArray]]:
     """Orders and radial coefficients of each cap from what `pack_radial` made."""
     counts, orders = arrays["radial/count"].astype(np.int64), arrays["radial/order"]
-    if counts.sum() != orders.size or np.any(terms > counts[arrays["radial/family"]]):
-        raise ValueError("number of functions")
     repeats = np.unpackbits(arrays["radial/repeats"], count=orders.size).astype(bool)
     radial = np.zeros((orders.size, bandlimit + 1), dtype=arrays["radial/values"].dtype)
     taken = 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer, Outline
+from slepian_prt.compression.files.coded_packing import unpack_coded
 from slepian_prt.compression.files.container import Contents
-from slepian_prt.compression.files.film_packing import check_film, unpack_film
-from slepian_prt.compression.files.lamp_packing import check_lamps, unpack_lamps
-from slepian_prt.compression.files.transfer_arrays import check_transfer, unpack_transfer
+from slepian_prt.compression.files.film_packing import unpack_film
+from slepian_prt.compression.files.known import faces_of, vertices_of
+from slepian_prt.compression.files.lamp_packing import unpack_lamps
+from slepian_prt.compression.files.transfer_arrays import unpack_transfer
 from slepian_prt.compression.files.vertex_order import in_source_order
 from slepian_prt.compression.prediction import Expectation
-from slepian_prt.compression.stored_mesh.schema import check_mesh
-from slepian_prt.compression.stored_mesh.stored import StoredMesh, read_stored, sizes_of_parts, unpack_order
+from slepian_prt.compression.stored_mesh.stored import StoredMesh, read_stored, unpack_order
 from slepian_prt.errors import UserError
 from slepian_prt.scene.film import Film, FilmOutline
 from slepian_prt.scene.mesh import Mesh
@@ -57,17 +57,12 @@ class StoredTransfer(CompressedTransfer):
     film = _Late()
 
 
-def check_schema(contents: Contents) -> None:
+def check_arrays(contents: Contents) -> None:
     """Raise UserError for a file whose arrays do not fit its manifest; nothing is decoded."""
-    manifest, arrays = contents.manifest, contents.arrays()
-    with _told(contents):
-        vertices = _outline(contents, tuple(Part(*part) for part in manifest["parts"])).vertices
-        if "film" in manifest:
-            check_film(manifest["film"], arrays)
-        else:
-            check_mesh(manifest["mesh"], arrays)
-        check_lamps(manifest.get("fixed"), arrays, vertices)
-        check_transfer(manifest, arrays)
+    arrays = contents.arrays()
+    if contents.manifest["coding"] == "coded":
+        with _told(contents):
+            unpack_coded(arrays, contents.manifest["step"], contents.manifest["caps"])
 
 
 def stored_transfer(contents: Contents) -> CompressedTransfer:
@@ -79,9 +74,8 @@ def stored_transfer(contents: Contents) -> CompressedTransfer:
         Its manifest is not that of a transfer file.
     """
     transfer = object.__new__(StoredTransfer)
-    with _told(contents):
-        fields = _fields_of_manifest(contents.manifest)
-        vars(transfer).update(fields, _contents=contents, _outline=_outline(contents, fields["parts"]))
+    fields = _fields_of_manifest(contents.manifest)
+    vars(transfer).update(fields, _contents=contents, _outline=_outline(contents))
     return transfer
 
 
@@ -90,67 +84,58 @@ def _told(contents: Contents) -> Iterator[None]:
     """What does not fit together, said in one line."""
     try:
         yield
-    except (KeyError, ValueError, IndexError, TypeError, AttributeError, AssertionError) as error:
-        raise UserError(f"{contents.path}: its contents do not fit together ({error!r}); precompute it again") from None
+    except UserError:
+        raise
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise UserError(f"{contents.path}: its contents do not fit together ({error}); precompute it again") from None
+    except MemoryError:
+        raise UserError(f"{contents.path}: needs more memory than there is; precompute it again, coarser") from None
 
 
 def _fields_of_manifest(manifest: dict[str, Any]) -> dict[str, Any]:
     return {
         "parts": tuple(Part(*part) for part in manifest["parts"]),
-        "bandlimit": int(manifest["bandlimit"]),
-        "channels": int(manifest["channels"]),
+        "bandlimit": manifest["bandlimit"],
+        "channels": manifest["channels"],
         "basis": manifest["basis"],
-        "terms": float(manifest["terms"]),
+        "terms": manifest["terms"],
         "prior": manifest["prior"],
         "expected": Expectation(np.array(manifest["expected_lost"]), np.array(manifest["expected_total"])),
         "effects": tuple(Effect(**effect) for effect in manifest["effects"]),
-        "bounces": int(manifest["bounces"]),
-        "samples": int(manifest["samples"]),
-        "seed": int(manifest["seed"]),
-        "rays_traced": int(manifest["rays_traced"]),
+        "bounces": manifest["bounces"],
+        "samples": manifest["samples"],
+        "seed": manifest["seed"],
+        "rays_traced": manifest["rays_traced"],
         "path_noise": manifest.get("noise"),
         "seconds": dict(manifest["seconds"]),
         "source": manifest["source"],
         "parameters": dict(manifest.get("parameters", {})),
         "view": None if manifest["view"] is None else View(**manifest["view"]),
-        "toward_view": bool(manifest["toward_view"]),
+        "toward_view": manifest["toward_view"],
         "verified": dict(manifest.get("verified", {})),
-        "verified_vertices": int(manifest.get("verified_vertices", 0)),
+        "verified_vertices": manifest.get("verified_vertices", 0),
         "verified_left_out": dict(manifest.get("verified_left_out", {})),
     }
 
 
-def _outline(contents: Contents, parts: tuple[Part, ...]) -> Outline:
+def _outline(contents: Contents) -> Outline:
     manifest, film = contents.manifest, None
     if "film" in manifest:
         entry = manifest["film"]
-        width, height = int(entry["width"]), int(entry["height"])
-        film = FilmOutline(entry["name"], width, height, np.array(entry["noise_power"], dtype=np.float64))
-        vertices, faces = width * height, 2 * (width - 1) * (height - 1)
-    else:
-        vertices = sum(part.sides * part.count for part in parts)
-        faces = sum(int(piece["sides"]) * int(piece["faces"]) for piece in manifest["mesh"]["pieces"])
+        power = np.array(entry["noise_power"], dtype=np.float64)
+        film = FilmOutline(entry["name"], entry["width"], entry["height"], power)
     return Outline(
         name=manifest["name"],
         notes=tuple(manifest["notes"]),
-        vertices=vertices,
-        faces=faces,
-        caps=int(manifest["caps"]),
+        vertices=vertices_of(manifest),
+        faces=faces_of(manifest),
+        caps=manifest["caps"],
         coding=manifest["coding"],
         prior_weights=contents.array("basis/weights") if "basis/weights" in manifest["arrays"] else None,
         lamps=tuple(lamp["name"] for lamp in manifest.get("fixed", ())),
         film=film,
-        half_angle=_half_angle(manifest),
+        half_angle=manifest.get("half_angle"),
     )
-
-
-def _half_angle(manifest: dict[str, Any]) -> float | None:
-    if "half_angle" not in manifest:
-        return None
-    half_angle = float(manifest["half_angle"])
-    if not 0.0 <= half_angle <= math.pi:
-        raise ValueError("half_angle")
-    return half_angle
 
 
 def _decoded(contents: Contents) -> dict[str, Any]:
@@ -178,6 +163,4 @@ def _film_and_mesh(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> tupl
     if "film" in manifest:
         return *unpack_film(manifest["film"], arrays, name, notes), None
     stored = read_stored(manifest["mesh"], arrays, name, notes)
-    if sizes_of_parts(stored.entry) != [(part[2], part[3]) for part in manifest["parts"]]:
-        raise ValueError("parts of the mesh")
     return None, stored.mesh, stored

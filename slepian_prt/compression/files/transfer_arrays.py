@@ -61,27 +61,15 @@ def _cluster_arrays(clusters: Clusters, mesh: Mesh, by_site: bool) -> dict[str, 
     return arrays
 
 
-def check_transfer(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> None:
-    """Raise ValueError or KeyError for arrays that are missing or do not fit the manifest or each other."""
-    caps = int(manifest["caps"])
-    centers = arrays["clusters/sites" if "clusters/sites" in arrays else "caps/center"]
-    if caps < 1 or centers.shape != (caps, 3) or arrays["caps/terms"].shape not in ((1,), (caps,)):
-        raise ValueError("caps")
-    if manifest["coding"] == "coded":
-        unpack_coded(arrays, float(manifest["step"]), caps)
-    elif arrays["coefficients"].dtype.name != manifest["coding"]:
-        raise ValueError("type of the coefficients")
-
-
 def unpack_transfer(manifest: dict[str, Any], arrays: dict[str, NDArray], mesh: Mesh) -> dict[str, Any]:
     """Fields of a `CompressedTransfer` from what `pack_transfer` packed.
 
     Raises
     ------
-    ValueError, KeyError, IndexError, TypeError
-        What does not fit together.
+    ValueError
+        Another number of coefficients than the vertices of the caps have, or a checksum that is another.
     """
-    bandlimit, channels, is_coded = int(manifest["bandlimit"]), int(manifest["channels"]), manifest["coding"] == "coded"
+    bandlimit, channels, is_coded = manifest["bandlimit"], manifest["channels"], manifest["coding"] == "coded"
     clusters = _clusters(arrays, mesh)
     terms = np.broadcast_to(arrays["caps/terms"].astype(np.int64), len(clusters.caps))
     fields = {
@@ -90,7 +78,7 @@ def unpack_transfer(manifest: dict[str, Any], arrays: dict[str, NDArray], mesh: 
         "mean": MeanTransfer(arrays["mean/zonal"]) if "mean/zonal" in arrays else None,
     }
     if is_coded:
-        return {**fields, "coded": unpack_coded(arrays, float(manifest["step"]), len(terms)), "coefficients": ()}
+        return {**fields, "coded": unpack_coded(arrays, manifest["step"], len(terms)), "coefficients": ()}
     return {**fields, "coded": None, "coefficients": _plain(arrays["coefficients"], clusters.sizes, terms * channels)}
 
 
@@ -112,12 +100,8 @@ def _clusters(arrays: dict[str, NDArray], mesh: Mesh) -> Clusters:
         return Clusters.of_one_class(found.index, caps or found.caps, found.sites)
     index = np.empty(len(mesh.positions), dtype=np.int32)
     index[np.argsort(morton(mesh.positions), kind="stable")] = arrays["clusters/index"]
-    if index.max() >= len(caps):
-        raise ValueError("index of a cluster")
     if "clusters/kinds" not in arrays:
         return Clusters.of_one_class(index, caps)
-    if len(arrays["clusters/kinds"]) != len(caps):
-        raise ValueError("classes of clusters")
     return Clusters(index, caps, arrays["clusters/kinds"].astype(np.int32))
 
 

@@ -13,7 +13,6 @@ from slepian_prt.compression.stored_mesh import connectivity
 from slepian_prt.compression.stored_mesh.connectivity import Coded
 from slepian_prt.compression.stored_mesh.lattice import Lattice, find_lattices
 from slepian_prt.compression.stored_mesh.planes import from_planes, to_planes
-from slepian_prt.compression.stored_mesh.schema import count_pieces
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 
@@ -124,17 +123,19 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
     Parameters
     ----------
     entry, arrays
-        That `check_mesh` finds to fit.
+        As the schema of files has them.
 
     Raises
     ------
-    ValueError, KeyError, TypeError
+    ValueError
+        The pieces do not have so many vertices and faces.
     """
-    about, counts = entry["pieces"], count_pieces(entry)
+    about = entry["pieces"]
+    counts = np.array([[one[name] for name in _COUNTS] for one in about], dtype=np.int64)
     data = _pieces(arrays["mesh/draco"], counts[:, 3])
     loose = _pieces(_loose(arrays), counts[:, 4])
     loose_faces = _pieces(_loose_faces(arrays), counts[:, 5])
-    plain = Lattice(_three(entry["low"], np.float64), float(entry["step"]))
+    plain = Lattice(np.array(entry["low"], dtype=np.float64), entry["step"])
     pieces, first = [], 0
     for one, (count, faces, sides, *_), octets, *lists in zip(
         about, counts.tolist(), data, loose, loose_faces, strict=True
@@ -142,11 +143,14 @@ def read_pieces(entry: dict[str, Any], arrays: dict[str, NDArray]) -> list[Piece
         places, sides_of = connectivity.decode(Coded(_NO_ORDER, octets.tobytes(), *lists), count)
         if len(sides_of) != faces:
             raise ValueError("number of faces")
-        lattice = plain._replace(shift=int(one["shift"]), first=_three(one["first"], np.int64))
+        lattice = plain._replace(shift=one["shift"], first=np.array(one["first"], dtype=np.int64))
         pieces.append(Piece(first, count, sides, lattice, places, sides_of + first))
         first += sides * count
     return pieces
 
+
+# What a piece counts: vertices and faces of its front, sides, and what it has of the arrays.
+_COUNTS = ("vertices", "faces", "sides", "draco", "loose", "loose_faces")
 
 # How many vertices of a number and of an eighth of that are known by number.
 _LANDMARKS, _FEWER = 6, 8
@@ -221,10 +225,3 @@ def _loose_faces(arrays: dict[str, NDArray]) -> NDArray[np.int64]:
     faces = from_planes(arrays["mesh/loose_faces"], 3)
     first = np.cumsum(faces[:, :1], axis=0)
     return np.concatenate([first, faces[:, 1:] + first], axis=1)
-
-
-def _three(values: Any, dtype: type) -> NDArray:
-    three: NDArray = np.array(values, dtype=dtype)
-    if three.shape != (3,):
-        raise ValueError("three numbers")
-    return three

@@ -41,7 +41,7 @@ def pack_albedo(
 def unpack_albedo(
     entry: dict[str, Any], arrays: dict[str, NDArray], blocks: Sequence[slice], count: int
 ) -> NDArray[np.float32]:
-    """(V, 3) what `pack_albedo` packed, arrays that `check_mesh` finds to fit.
+    """(V, 3) what `pack_albedo` packed, as the schema of files has it.
 
     Raises
     ------
@@ -50,8 +50,6 @@ def unpack_albedo(
     albedo = np.empty((count, 3), dtype=np.float32)
     if entry["kind"] == "constant":
         colors = np.array(entry["colors"], dtype=np.float32)
-        if colors.shape not in ((1, 3), (len(blocks), 3)):
-            raise ValueError("colours of blocks")
         for rows, color in zip(blocks, np.broadcast_to(colors, (len(blocks), 3)), strict=True):
             albedo[rows] = color
         return albedo

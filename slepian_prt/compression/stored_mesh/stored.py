@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from slepian_prt.compression.stored_mesh.pieces import Piece, cut, read_pieces, write_pieces
 from slepian_prt.compression.stored_mesh.planes import from_ordered, from_planes, to_ordered, to_planes
 from slepian_prt.compression.stored_mesh.reflectance import pack_albedo, unpack_albedo
-from slepian_prt.compression.stored_mesh.schema import check_mesh
 from slepian_prt.compression.stored_mesh.surface_normals import Surface, pack_normals, unpack_normals
 from slepian_prt.machine.kept import Kept
 from slepian_prt.scene.mesh import Mesh
@@ -75,7 +74,6 @@ def read_mesh(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, note
     ValueError, KeyError, IndexError, TypeError
         What does not fit together.
     """
-    check_mesh(entry, arrays)
     pieces = read_pieces(entry, arrays)
     positions, exact = _positions(pieces), bool(entry["exact"])
     if exact:
@@ -93,11 +91,6 @@ def read_stored(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, no
     if "mesh/source" in arrays:
         mesh = replace(mesh, source=_unpack_source(arrays["mesh/source"], len(mesh.positions)))
     return StoredMesh(mesh, np.arange(len(mesh.positions)), entry, own)
-
-
-def sizes_of_parts(entry: dict[str, Any]) -> list[tuple[int, int]]:
-    """Vertices on one side, and sides, of each part."""
-    return [(one["vertices"], one["sides"]) for one in entry["pieces"]]
 
 
 def pack_order(order: NDArray[np.int64], mesh: Mesh) -> dict[str, NDArray[np.uint8]]:

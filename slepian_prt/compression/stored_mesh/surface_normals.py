@@ -26,7 +26,8 @@ _LARGEST_CHORD = 2.0 * math.sin(0.5 * LARGEST_TURN) - 1e-6
 _OCTAHEDRON = 2047
 
 # How a vertex has its normal: from its own faces, from those of all vertices at its place, stored, or none.
-_OWN, _SHARED, _STORED, _NONE = range(4)
+_OWN, _SHARED, STORED, _NONE = range(4)
+WAYS = 4
 
 # acos x = √(1 - x) Σ a_k x^k for x in [0, 1] within 2·10⁻⁸ (Abramowitz & Stegun 1964, 4.4.46).
 _ACOS = (
@@ -85,12 +86,12 @@ def pack_normals(normals: NDArray[np.float64], surface: Surface, exact: bool) ->
         away = to_ordered(normals.astype(np.float32)) - to_ordered(own.astype(np.float32))
         return {"mesh/normals": to_planes(away)} if away.any() else {}
     ways = np.full(len(normals), _OWN, dtype=np.uint8)
-    ways[_turns(own, normals)] = _STORED
-    if np.any(ways == _STORED):
+    ways[_turns(own, normals)] = STORED
+    if np.any(ways == STORED):
         shared = surface.shared_normals
-        ways[(ways == _STORED) & ~_turns(shared, normals)] = _SHARED
+        ways[(ways == STORED) & ~_turns(shared, normals)] = _SHARED
     ways[(ways != _OWN) & ~normals.any(axis=1)] = _NONE
-    stored = ways == _STORED
+    stored = ways == STORED
     arrays = {"mesh/normal_ways": ways} if ways.any() else {}
     if stored.any():
         arrays["mesh/normals"] = to_planes(_to_octahedron(normals[stored]) - _to_octahedron(own[stored]))
@@ -100,7 +101,7 @@ def pack_normals(normals: NDArray[np.float64], surface: Surface, exact: bool) ->
 def unpack_normals(arrays: dict[str, NDArray], surface: Surface, exact: bool) -> NDArray[np.float64]:
     """(V, 3) what `pack_normals` packed, numbers of float32.
 
-    ``arrays`` are those that `check_mesh` finds to fit.
+    ``arrays`` are those that `array_schema` finds to fit.
 
     Raises
     ------
@@ -115,7 +116,7 @@ def unpack_normals(arrays: dict[str, NDArray], surface: Surface, exact: bool) ->
     if exact or not ways.size:
         return single.astype(np.float64)
     normals = single.astype(np.float64)
-    shared, stored = ways == _SHARED, ways == _STORED
+    shared, stored = ways == _SHARED, ways == STORED
     if shared.any():
         normals[shared] = surface.shared_normals[shared].astype(np.float32)
     if stored.any():
