@@ -131,11 +131,10 @@ def write_all(folder: Path, files: dict[str, bytes]) -> None:
 
 def check_readable(path: str | Path, wanted: str = "a file", remedy: str = "check the path") -> None:
     """Raise UserError for a folder, which says to name what is ``wanted``, and for a file that is not there."""
-    path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):  # other than Path's, false for names that no file can have
         raise UserError(f"{path}: is a folder; name {wanted}")
-    if not path.is_file():
-        raise UserError(f"{path}: no such file; {remedy}")
+    if not os.path.isfile(path):
+        raise UserError(f"{path}: {'is a pipe or a device' if os.path.exists(path) else 'no such file'}; {remedy}")
 
 
 def check_writable(path: str | Path, *inputs: str | Path) -> None:

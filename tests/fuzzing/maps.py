@@ -127,9 +127,7 @@ def _change_chunk(content: bytes, random: random.Random) -> bytes:
     if what < 0.2:
         del chunks[number]
     elif what < 0.4:
-        extra = random.choice(
-            (b"gAMA", b"cHRM", b"iCCP", b"cICP", b"sRGB", b"eXIf", b"tEXt", b"zTXt", b"acTL", b"PLTE")
-        )
+        extra = random.choice((b"gAMA", b"cHRM", b"iCCP", b"cICP", b"sRGB", b"eXIf", b"tEXt", b"zTXt", b"PLTE"))
         chunks.insert(number, (extra, random.randbytes(random.choice((0, 1, 4, 32, 100)))))
     elif what < 0.5:
         chunks.insert(number, (kind, data))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.lighting.map_rows import Rows, check_shape
 
-_HEADER = re.compile(rb"P([Ff])\s+(\d+)\s+(\d+)\s+([-+.\deE]+)\s")
+_HEADER = re.compile(rb"P([Ff])\s+(\d{1,18})\s+(\d{1,18})\s+([-+.\deE]+)\s")
 
 
 def pfm_rows(path: Path) -> Rows:

@@ -27,7 +27,10 @@ _SHORTEST, _LONGEST = 8, 32767
 
 _LONGEST_HEADER = 1 << 20
 
-_RESOLUTION = re.compile(rb"\s*([-+])([XY])\s+(\d+)\s+([-+])([XY])\s+(\d+)\s*")
+# Texels for each byte of a large file: four times what runs of components reach. Repetitions of Radiance 1 have no end.
+_MOST_PER_BYTE = 64
+
+_RESOLUTION = re.compile(rb"\s*([-+])([XY])\s+(\d{1,18})\s+([-+])([XY])\s+(\d{1,18})\s*")
 
 
 @dataclass(frozen=True)
@@ -139,6 +142,8 @@ def _decode(data: bytes, at: int, count: int, length: int) -> NDArray[np.uint8]:
     """(count, length, 4) bytes of scanlines from position ``at``; IndexError if the data end before."""
     if len(data) - at < 4 * count:  # before memory is taken
         raise IndexError
+    if count * length > max(1 << 24, _MOST_PER_BYTE * len(data)):
+        raise ValueError(f"it has {len(data)} bytes for {count} scanlines of {length} texels")
     check_memory(4 * count * length, f"a picture of {count} x {length} texels", "make it smaller")
     texels = np.empty((count, length, 4), dtype=np.uint8)
     for number in range(count):
