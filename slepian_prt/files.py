@@ -151,11 +151,9 @@ def check_writable(path: str | Path, *inputs: str | Path) -> None:
 
 def check_other(path: str | Path, inputs: Iterable[str | Path]) -> None:
     """Raise UserError if a file is one of the inputs, under whatever name."""
-    path = Path(path)
     for source in inputs:
-        if _is_same(path, Path(source)):
-            what = "is the input" if str(path) == str(source) else f"is the input {source}"
-            raise UserError(f"{path}: {what}; choose another name for the output")
+        if _is_same(Path(path), Path(source)):
+            raise UserError(f"{path}: is the input; choose another name for the output")
 
 
 def check_folder(folder: str | Path) -> None:

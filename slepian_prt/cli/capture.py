@@ -61,16 +61,16 @@ def capture(
     All that Mitsuba's paths bring is in it: mirrors, glass, caustics, hair, media, depth of field. Stopped or killed,
     the same command goes on from the blocks of pixels that were finished.
     """
-    from slepian_prt import files
     from slepian_prt.cli.terminal import progress
     from slepian_prt.compression.film_compression import check_tolerance, compress_film, film_of
     from slepian_prt.lighting.formats.coefficient_layers import write_coefficients
+    from slepian_prt.scene.named_files import check_output_file
     from slepian_prt.transport.capturing.capture import open_capture
     from slepian_prt.transport.capturing.settings import CaptureSettings
 
     settings = settings_of(CaptureSettings, options, smooth=not no_smooth)
     check_tolerance(tolerance)
-    files.check_writable(output, scene, *environment)
+    check_output_file(output, scene, *environment, parameters=options["parameters"])
     suffix = Path(output).suffix.lower()
     if suffix not in (".prt", ".exr"):
         raise UserError(f"{output}: captures are written as .prt, or their coefficients as .exr; name the output so")

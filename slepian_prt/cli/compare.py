@@ -96,7 +96,8 @@ def compare(
     check_methods(bases)
     for k in terms:
         CompressionSettings(terms=k).check(transport.bandlimit)
-    check_report(output, [scene, *environment], [Path(path).stem for path in environment])
+    inputs = [scene, *environment, *([] if swept is None else [swept])]
+    check_report(output, inputs, [Path(path).stem for path in environment], transport.parameters)
     sweep = None if swept is None else _read_sweep(swept, scene)
     maps = read_maps(environment, clamp_negative, rotate, aim.up)
     with crew_of(options) as crew, progress("transport", "vertices") as (advance, report):

@@ -64,7 +64,6 @@ def dimension(
     FILE is a transfer file (.prt, or .npz of Transfer.save); a SCENE (mesh or Mitsuba xml) is traced as by precompute.
     """
     from slepian_prt.cli.terminal import progress
-    from slepian_prt.datasets.fingerprint import files_behind
     from slepian_prt.evaluation.dimension.estimate import check_error, check_neighbourhood, effective_dimension
     from slepian_prt.evaluation.dimension.files import PICTURE, check_dimension_output, write_dimension
     from slepian_prt.evaluation.dimension.limits import remark_on_error
@@ -73,7 +72,7 @@ def dimension(
 
     aim, finish = settings_of(Aim, options), Finish(background)
     check_error(error), check_neighbourhood(neighbourhood)
-    check_dimension_output(output, finish, file, *files_behind(Path(file)))
+    check_dimension_output(output, finish, file, parameters=options["parameters"])
     given = [name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
     if Path(output).suffix.lower() != PICTURE:
         _note_unused(given, ("width", "background", *_names(Aim)), f"on {Path(output).suffix.lower()} files")

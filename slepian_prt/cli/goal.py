@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from slepian_prt.cache_folder import work_kept
 from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.terminal import describe, print_plan, print_table, progress
 from slepian_prt.files import KEPT_ORDER
@@ -34,7 +35,7 @@ def precompute_toward(
     """Toward a goal; what was foreseen and what came of it is told."""
     from slepian_prt.accuracy.run import precompute_within
 
-    with progress("transport", "vertices") as (advance, report):
+    with work_kept(), progress("transport", "vertices") as (advance, report):
         found = precompute_within(
             scene,
             goal,
@@ -48,8 +49,8 @@ def precompute_toward(
             report=report,
             crew=crew,
         )
+        found.packed.save(output, keep_order=keep_order or found.packed.vertex_count <= KEPT_ORDER)
     print_verification(found.verification, goal)
-    found.packed.save(output, keep_order=keep_order or found.packed.vertex_count <= KEPT_ORDER)
     say(f"{output}: {describe(found.packed)}; {time.perf_counter() - started:.1f} s in all")
 
 

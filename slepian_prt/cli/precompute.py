@@ -87,7 +87,7 @@ def precompute(
     settings.check(transport.bandlimit)
     is_set = into_folder(scenes, listed, formats, output)
     if not is_set:
-        _check_one(scenes[0], output, as_json)
+        _check_one(scenes[0], output, as_json, transport)
     light = None
     if goal is not None:
         goal.check()
@@ -108,11 +108,11 @@ def precompute(
     return 0
 
 
-def _check_one(scene: str, output: str, as_json: bool) -> None:
+def _check_one(scene: str, output: str, as_json: bool, transport: TransportSettings) -> None:
     """What is asked of a single file."""
-    from slepian_prt import files
+    from slepian_prt.scene.named_files import check_output_file
 
-    files.check_writable(output, scene)
+    check_output_file(output, scene, parameters=transport.parameters)
     if Path(output).suffix.lower() != ".prt":
         raise UserError(f"{output}: transfer files end in .prt; name the output so, or with a / at its end as a folder")
     if as_json:
@@ -129,17 +129,19 @@ def _precompute(
     keep_order: bool,
 ) -> None:
     """As asked for."""
+    from slepian_prt.cache_folder import work_kept
     from slepian_prt.cli.terminal import describe, print_plan, progress
     from slepian_prt.compression.noise import finest_tolerance
     from slepian_prt.compression.stream import compress_scene
 
-    with progress("transport", "vertices") as (advance, report):
-        packed = compress_scene(
-            scene, settings, transport, on_plan=print_plan, advance=advance, report=report, crew=crew
-        )
+    with work_kept():
+        with progress("transport", "vertices") as (advance, report):
+            packed = compress_scene(
+                scene, settings, transport, on_plan=print_plan, advance=advance, report=report, crew=crew
+            )
+        packed.save(output, keep_order=keep_order or packed.vertex_count <= KEPT_ORDER)
     if transport.bounces is not None and packed.bounces < transport.bounces:
         note(f"`bounces={transport.bounces}` has no effect: no light between surfaces is simulated (see the plan)")
-    packed.save(output, keep_order=keep_order or packed.vertex_count <= KEPT_ORDER)
     error = settings.expected_error(packed.expected)
     wanted = settings.resolved_tolerance
     if packed.path_noise is not None:

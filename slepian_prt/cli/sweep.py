@@ -81,16 +81,15 @@ def sweep(
     """
     from slepian_prt.cli.terminal import print_plan, progress
     from slepian_prt.evaluation.sweep.axes import Axes
-    from slepian_prt.evaluation.sweep.report import write_sweep
+    from slepian_prt.evaluation.sweep.report import check_sweep, write_sweep
     from slepian_prt.evaluation.sweep.results import find_setbacks
     from slepian_prt.evaluation.sweep.run import sweep as run
-    from slepian_prt.files import check_folder
     from slepian_prt.transport.settings import TransportSettings
 
     axes = Axes(samples, bandlimit, clusters, basis, tolerance, bounces or (None,))
     axes.check()
     transport = settings_of(TransportSettings, options)
-    check_folder(output)
+    check_sweep(output, [scene, *environment], transport.parameters)
     maps = read_maps(environment, clamp_negative, rotate)
     checkpoint = Path(output) / "sweep.partial.jsonl"
     with crew_of(options) as crew, progress("settings", "settings") as (advance, report):

@@ -70,7 +70,8 @@ def view(
     are dropped on it shine too. Behind the model is the map unless --background says otherwise. On a terminal it is
     opened.
     """
-    from slepian_prt import files
+    from slepian_prt.relighting.files.wishes import check_source
+    from slepian_prt.scene.named_files import check_output_file
     from slepian_prt.scene.view import Aim
     from slepian_prt.viewer.page_file import check_page_name, write_page
     from slepian_prt.viewer.pages import PageWish, page_content
@@ -80,8 +81,10 @@ def view(
     wish = settings_of(PageWish, options, maps=environment, functions=int(functions), aim=aim, scene=scene)
     check_page_name(output)
     given = [path for path in (compare_with, scene) if path]
-    files.check_writable(output, file, *environment, *given)
-    content = page_content(_read(file), wish, None if compare_with is None else _read(compare_with), file, note)
+    check_output_file(output, file, *environment, *given)
+    transfer = _read(file)
+    check_source(output, transfer, file)
+    content = page_content(transfer, wish, None if compare_with is None else _read(compare_with), file, note)
     size = write_page(output, content.title, make_payload(replace(content, words=with_flags)))
     step = content.models[0].transfer.error()
     lights = ", ".join(light.name for light in content.lights)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import re
 from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,13 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from slepian_prt.scene.formats.files import decode, find_beside
-
-# Where files name others. Of materials (.mtl) each line may, of a scene (.xml) each value.
-_LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
-_URIS = re.compile(rb'"uri"\s*:\s*"([^"]+)"')
-_VALUES = re.compile(rb'"([^"<>\n]+)"')
-_NAMES = {".obj": _LIBRARIES, ".glb": _URIS, ".gltf": _URIS, ".xml": _VALUES}
+from slepian_prt.scene.named_files import files_behind
 
 
 def settings_digest(settings: Any) -> str:
@@ -40,33 +33,6 @@ def digest_of(path: Path) -> str:
     """Of the content of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
-
-
-def files_behind(path: Path) -> list[Path]:
-    """A file, and those that it names, that these name, …, as far as they are there."""
-    found: dict[Path, None] = {}
-    waiting = [path]
-    while waiting:
-        file = waiting.pop(0)
-        if file.is_file() and file not in found:
-            found[file] = None
-            waiting += [other for name in _names_in(file) if (other := find_beside(file, name)).is_file()]
-    return list(found)
-
-
-def _names_in(file: Path) -> list[str]:
-    """Names of files in a file, and other words that are none."""
-    kind = file.suffix.lower()
-    if kind == ".mtl":
-        lines = [line.split() for line in decode(file.read_bytes()).splitlines()]
-        named = [words for words in lines if len(words) > 1 and words[0].lower().startswith(("map_", "bump", "norm"))]
-        return [name for words in named for name in (" ".join(words[1:]), words[-1])]
-    if kind not in _NAMES:
-        return []
-    names = [decode(name) for name in _NAMES[kind].findall(file.read_bytes())]
-    if kind == ".obj":
-        names += [word for name in names for word in name.split()]
-    return list(dict.fromkeys(name for name in names if not name.startswith("data:") and len(name) < 1000))
 
 
 def _plain(value: Any) -> Any:

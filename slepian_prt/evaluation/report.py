@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from slepian_prt.evaluation.report_plots import plot_by_bytes, plot_by_terms, pl
 from slepian_prt.evaluation.sweep.report import front_context
 from slepian_prt.evaluation.sweep.results import Sweep
 from slepian_prt.files import check_folder, write_all
+from slepian_prt.scene.named_files import check_output_files
 from slepian_prt.viewer.page_file import make_page
 from slepian_prt.viewer.pages import PageWish, page_content
 from slepian_prt.viewer.payload import make_payload
@@ -37,15 +38,21 @@ _GROUPED_BY = {
 }
 
 
-def check_report(folder: str, inputs: Sequence[str | Path], environments: Sequence[str]) -> None:
+def check_report(
+    folder: str,
+    inputs: Sequence[str | Path],
+    environments: Sequence[str],
+    parameters: Mapping[str, Any] | None = None,
+) -> None:
     """Raise UserError unless a report can be written there, and none of its files in the place of an input."""
     check_folder(folder)
     plots = ("transfer_error", "relit_error", "error_by_bytes", "ladder")
     names = {"report.html", "results.json", VIEWER, *(f"{name}.png" for name in plots)}
-    for source in map(Path, inputs):
-        of_view = source.suffix == ".png" and any(source.name.startswith(f"{name}_") for name in environments)
-        if source.exists() and source.parent.resolve() == Path(folder).resolve() and (source.name in names or of_view):
-            raise UserError(f"{source}: is an input, and a file of the report has this name; choose another folder")
+
+    def is_written(name: str) -> bool:
+        return name in names or (name.endswith(".png") and name.startswith(tuple(f"{view}_" for view in environments)))
+
+    check_output_files(folder, is_written, *inputs, parameters=parameters)
 
 
 def write_report(

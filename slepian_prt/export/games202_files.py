@@ -101,7 +101,9 @@ def write_games202(
     contents += [light_text(cut_or_filled(light, 2)) for light in lights.values()]
     with ExitStack() as outputs:
         for file, content in zip(files, contents, strict=True):
-            outputs.enter_context(atomic_output(file)).write(content)
+            output = outputs.enter_context(atomic_output(file))
+            output.write(content)
+            output.flush()  # all are on the disk before the first is put into its place
 
 
 def _obj(mesh: Mesh, materials: str) -> bytes:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slepian_prt.errors import UserError, check_choice
-from slepian_prt.files import check_writable
+from slepian_prt.scene.named_files import check_output_file
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -51,7 +51,7 @@ def check_export(
         for name, value in (("functions", functions), ("attributes", attributes)):
             if value is not None:
                 raise UserError(f"`{name}` is about `what=transfer` and has no effect on {what}; leave it out")
-    check_writable(output, *inputs)
+    check_output_file(output, *inputs)
 
 
 def check_exportable(packed: CompressedTransfer, what: str, file: str | Path = "") -> None:

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError, check_transfer
 from slepian_prt.examples import example
-from slepian_prt.files import check_writable
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.relighting.drawing.camera import relit_camera, relit_view
 from slepian_prt.relighting.drawing.film_pictures import FilmDrawing, check_taking
@@ -27,6 +26,7 @@ from slepian_prt.relighting.series import about_axis
 from slepian_prt.relighting.source import find_source, locate_source
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.runtime.gpu_transfer import as_compressed, gpu_transfer
+from slepian_prt.scene.named_files import check_output_file
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.view import Aim
 from slepian_prt.sphere.rotation import rotate_sh
@@ -154,7 +154,7 @@ def save_page(
     check_transfer(transfer)
     given = [lighting] if isinstance(lighting, str | Path | Environment) else list(lighting or ())
     check_page_name(path)
-    check_writable(path, *(one for one in (*given, scene) if isinstance(one, str | Path)))
+    check_output_file(path, *(one for one in (*given, scene) if isinstance(one, str | Path)))
     wish = PageWish(
         tuple(given),
         functions,

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.settings import CompressionSettings
-from slepian_prt.datasets.fingerprint import files_behind, fingerprint, settings_digest
+from slepian_prt.datasets.fingerprint import fingerprint, settings_digest
 from slepian_prt.datasets.jobs import ScanSettings
 from slepian_prt.lighting.spectrum import LightPrior
+from slepian_prt.scene.named_files import files_behind
 from slepian_prt.transport.settings import TransportSettings
 
 

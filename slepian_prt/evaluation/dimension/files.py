@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,12 +12,13 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.dimension.estimate import EffectiveDimension
 from slepian_prt.evaluation.dimension.picture import LEAST_WIDTH, ColourScale, draw_dimension, encode_picture
-from slepian_prt.files import atomic_output, check_writable
+from slepian_prt.files import atomic_output
 from slepian_prt.relighting.drawing.camera import Camera, relit_camera
 from slepian_prt.relighting.drawing.pictures import MAP, Finish
 from slepian_prt.relighting.files.coloured_mesh import as_in_source, write_ply
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.named_files import check_output_file
 from slepian_prt.scene.view import Aim
 from slepian_prt.transport.transfer import Transfer
 
@@ -23,9 +26,11 @@ PICTURE = ".png"
 SUFFIXES = (PICTURE, ".ply", ".npz")
 
 
-def check_dimension_output(output: str | Path, finish: Finish, *inputs: str | Path) -> None:
-    """Raise UserError now if the result could not be written as what the name says."""
-    check_writable(output, *inputs)
+def check_dimension_output(
+    output: str | Path, finish: Finish, *inputs: str | Path, parameters: Mapping[str, Any] | None = None
+) -> None:
+    """Raise UserError now if the result could not be written as what the name says, or would replace an input."""
+    check_output_file(output, *inputs, parameters=parameters)
     suffix = Path(output).suffix.lower()
     if suffix not in SUFFIXES:
         raise UserError(f"{output}: unknown kind of output '{suffix}'; name one of {', '.join(SUFFIXES)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ import numpy as np
 
 from slepian_prt.evaluation import pages, plots
 from slepian_prt.evaluation.sweep.results import Point, Sweep, find_setbacks, pareto_front
-from slepian_prt.files import write_all
+from slepian_prt.files import check_folder, write_all
+from slepian_prt.scene.named_files import check_output_files
 
 _COSTS = {
     "seconds": "seconds, transport and compression",
@@ -33,6 +34,15 @@ _MOST_NAMED = 14
 
 # Width of a character below a plot, as a part of the width of the plot.
 _CHARACTER = 0.0128
+
+
+def check_sweep(folder: str, inputs: Sequence[str | Path], parameters: Mapping[str, Any] | None = None) -> None:
+    """Raise UserError unless a sweep can be written there, and none of its files in the place of an input."""
+    check_folder(folder)
+    plots_of = tuple(f"_{cost}.png" for cost in _COSTS)
+    check_output_files(
+        folder, lambda name: name.startswith("sweep.") or name.endswith(plots_of), *inputs, parameters=parameters
+    )
 
 
 def write_sweep(sweep: Sweep, folder: str | Path) -> Path:

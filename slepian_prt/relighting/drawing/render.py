@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError, check_integer, check_transfer
-from slepian_prt.files import check_writable
 from slepian_prt.lighting.environment import Environment, read_environment
 from slepian_prt.lighting.light_text import is_light_text
 from slepian_prt.relighting.drawing.drawings import open_drawing
@@ -22,6 +21,7 @@ from slepian_prt.relighting.drawing.shots import Shots
 from slepian_prt.relighting.drawing.taking import Lit, Taking
 from slepian_prt.relighting.relight import relight, stand_lighting
 from slepian_prt.renderer.variants import mitsuba
+from slepian_prt.scene.named_files import check_output_file
 from slepian_prt.scene.view import Aim, up_rotation
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.transfer import Transfer
@@ -127,7 +127,7 @@ def save_picture(
     path = Path(path)
     if path.suffix.lower() not in (".png", ".exr"):
         raise UserError(f"{path}: pictures are written as .png or .exr, not '{path.suffix}'")
-    check_writable(path, *(given for given in (lighting, scene) if isinstance(given, str | Path)))
+    check_output_file(path, *(given for given in (lighting, scene) if isinstance(given, str | Path)))
     finish = Finish(background, exposure)
     picture, scale = _draw(transfer, lighting, Taking(width, Aim(look_at, fov, up), scene, spp), finish, fixed_lights)
     write_picture(path, picture, scale, finish)

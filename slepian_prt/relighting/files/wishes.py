@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.files import check_folder, check_writable
+from slepian_prt.files import check_folder
 from slepian_prt.relighting.drawing.film_pictures import check_taking
 from slepian_prt.relighting.drawing.pictures import TRANSPARENT, Finish
 from slepian_prt.relighting.drawing.taking import Taking
+from slepian_prt.scene.named_files import check_output_file
 from slepian_prt.scene.view import Aim
+
+if TYPE_CHECKING:
+    from slepian_prt.transport.transfer import Transfer
 
 # Of one result; several go to a folder, to one .npz, or to a film.
 PICTURES = (".png", ".exr")
@@ -21,6 +25,9 @@ PLY, GLB = ".ply", ".glb"
 MESHES = (PLY, GLB)
 SUFFIXES = (".npz", *MESHES, *PICTURES)
 FILM = ".mp4"
+
+# Bytes of a mesh file that tell who wrote it: the header of a .ply file, what stands before all else in a .glb file.
+_HEAD = 256
 
 
 @dataclass(frozen=True)
@@ -109,9 +116,9 @@ def check_output(output: str, inputs: Sequence[str | Path], names: Sequence[str]
         for name in names:
             file = Path(output) / f"{name}{wish.suffix}"
             if file.exists():
-                check_writable(file, *inputs)
+                check_output_file(file, *inputs)
         return
-    check_writable(output, *inputs)
+    check_output_file(output, *inputs)
 
 
 def check_film(output: str, packed: CompressedTransfer, wish: Wish) -> None:
@@ -125,12 +132,25 @@ def check_film(output: str, packed: CompressedTransfer, wish: Wish) -> None:
     check_taking(packed.film, wish.taking)
 
 
-def check_source(output: str, packed: CompressedTransfer, file: str) -> None:
-    """Raise UserError if the output is the mesh or scene that the transfer file was made from, as far as that is known.
+def check_source(output: str, packed: CompressedTransfer | Transfer, file: str) -> None:
+    """Raise UserError if the output is what the transfer file was made from, or a file which that names.
 
-    The file holds its path as it was given; if nothing is there, it is looked for beside the file.
+    The file holds the path of its source as it was given; if nothing is there, it is looked for beside the file. A mesh
+    of the same name may be the source wherever it lies, unless it was written here.
     """
-    source, folder = Path(packed.source), Path(file).parent
-    if packed.source and Path(output).is_file():
-        known = (path for path in (source, folder / source, folder / source.name) if path.is_file())
-        check_writable(output, *itertools.islice(known, 1))
+    source, path, folder = Path(packed.source), Path(output), Path(file).parent
+    if not packed.source or not path.is_file():
+        return
+    known = [place for place in (source, folder / source, folder / source.name) if place.is_file()]
+    check_output_file(output, *known[:1])
+    if path.name == source.name and path.suffix.lower() in MESHES and not _is_ours(path):
+        raise UserError(
+            f"{output}: may be the mesh that {file} was made from, and was not written here; choose another name for "
+            "the output, or remove it"
+        )
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a mesh file was written here, which its head says."""
+    with path.open("rb") as mesh:
+        return b"slepian_prt" in mesh.read(_HEAD)
