@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,6 +44,39 @@ def _write(files: dict[str, bytes], folder: Path) -> None:
 
 def _copied(seeds: Path, folder: Path) -> None:
     shutil.copytree(seeds, folder, dirs_exist_ok=True)
+
+
+# A scene with lamps, whose files hold them, and a camera.
+_LIT = """<scene version="3.0.0">
+<sensor type="perspective"><transform name="to_world"><lookat origin="0,1,4" target="0,0,0" up="0,1,0"/></transform>
+<film type="hdrfilm"><integer name="width" value="12"/><integer name="height" value="8"/></film></sensor>
+<emitter type="point" id="lamp"><point name="position" value="1,2,1"/><rgb name="intensity" value="4,3,2"/></emitter>
+<shape type="sphere" id="ball"><float name="radius" value="0.7"/>
+<bsdf type="diffuse"><rgb name="reflectance" value="0.8,0.4,0.2"/></bsdf></shape>
+<shape type="rectangle"><transform name="to_world"><scale value="2"/><rotate x="1" angle="-90"/><translate y="-0.7"/>
+</transform></shape>
+<shape type="cube"><transform name="to_world"><scale value="0.2"/><translate x="1"/></transform></shape></scene>"""
+
+
+def _prepare_prt(folder: Path) -> None:
+    """Transfer files of every kind: each way to store a basis, coefficients, a mesh, lamps and a film."""
+    transfer = sp.precompute(bumpy(2), bandlimit=4, samples=16)
+    kinds: dict[str, dict[str, Any]] = {
+        "coded": {"tolerance": 0.1, "clusters": 6},
+        "float32": {"basis": "transport", "terms": 6, "clusters": 6},
+        "float16": {"terms": 6, "clusters": 6, "coding": "float16", "refine": True},
+        "all": {"basis": "none"},
+        "cpca": {"basis": "cpca", "terms": 5, "clusters": 5, "coding": "coded"},
+        "surface": {"tolerance": 0.1, "clusters": 6, "group_by": "surface"},
+        "bent": {"tolerance": 0.1, "clusters": 6, "group_by": "bent", "occlusion_classes": 2},
+        "exact": {"tolerance": 0.1, "clusters": 4, "exact_mesh": True, "light_prior": sp.falling_prior(4)},
+    }
+    for name, settings in kinds.items():
+        sp.compress(transfer, **settings).save(folder / f"{name}.prt", keep_order=name == "coded")
+    scene = folder / "lit.xml"
+    scene.write_text(_LIT)
+    sp.precompute_compressed(scene, bandlimit=3, samples=16, tolerance=0.1).save(folder / "lit.prt")
+    sp.compress_film(sp.capture(scene, bandlimit=2, samples=4), tolerance=0.2).save(folder / "film.prt")
 
 
 def _try_prt(folder: Path, seeds: Path, random: Random) -> None:
@@ -141,7 +174,7 @@ def _try_journal(folder: Path, seeds: Path, random: Random) -> None:
 
 
 KINDS = {
-    "prt": Kind(prt_files.write_seeds, _try_prt),
+    "prt": Kind(_prepare_prt, _try_prt),
     "meshes": Kind(meshes.write_seeds, _try_mesh),
     "maps": Kind(lambda folder: _write(maps.seeds(), folder), _try_map),
     "journals": Kind(_prepare_journals, _try_journal),
