@@ -17,6 +17,7 @@ from slepian_prt.compression.codec.caps import Coded, DecodedCap, decode_caps
 from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.pilot import channel_mixing
 from slepian_prt.errors import UserError
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.sphere.harmonics import num_coefficients
 
 if TYPE_CHECKING:
@@ -63,6 +64,10 @@ def decode_all(packed: CompressedTransfer) -> tuple[CapCoefficients, ...]:
         What was loaded does not fit together.
     """
     if packed not in _decoded:
+        each = np.array([basis.count for basis in packed.bases]) * packed.channels
+        check_memory(
+            4 * int(packed.clusters.sizes @ each), "what is decoded", "precompute it again with fewer vertices"
+        )
         if packed.coded is None:
             _decoded[packed] = tuple(decode(packed, c) for c in range(len(packed.bases)))
         else:
