@@ -29,6 +29,11 @@ _HEADER = struct.Struct("<4sIQQQ")  # mark, number of the block, vertices, coeff
 _CHECKSUM = struct.Struct("<I")  # of header and content, behind both
 _MARK = b"BLK3"
 _SUFFIX = ".block"
+_ASIDE = ".damaged"
+
+# Rays of a receiver are no more than so many for each that was asked for, and so many more: bisection takes as many as
+# it needs, and small sets of directions are made larger.
+_RAYS, _MORE_RAYS = 64, 1 << 14
 
 
 class BlockStatistics(NamedTuple):
@@ -63,6 +68,44 @@ class Block(NamedTuple):
     statistics: BlockStatistics
     coefficients: NDArray[np.float32]
     rays: int
+
+
+class Wanted(NamedTuple):
+    """What a block has to be of.
+
+    Attributes
+    ----------
+    receivers : (n,)
+    caps : (n,)
+        Of each.
+    widths : (caps,)
+        Coefficients of a receiver of each cap.
+    samples : int
+        Rays that were asked for from each.
+    """
+
+    receivers: NDArray[np.int64]
+    caps: NDArray[np.integer]
+    widths: NDArray[np.int64]
+    samples: int
+
+    def misfit(self, block: Block) -> str | None:
+        """Why a block is not this one; None if it can be."""
+        order = np.argsort(self.receivers, kind="stable")
+        if not np.array_equal(np.sort(block.vertices), self.receivers[order]):
+            return "it is of other vertices"
+        caps = self.caps[order][np.searchsorted(self.receivers[order], block.vertices)]
+        if np.any(np.diff(caps) < 0):
+            return "its vertices are not sorted by cap"
+        if block.coefficients.size != int(self.widths[caps].sum()):
+            return f"it has {block.coefficients.size} coefficients, not {int(self.widths[caps].sum())}"
+        if not all(np.isfinite(part).all() for part in (*block.statistics, block.coefficients)):
+            return "it has numbers that are not finite"
+        if any(part.min(initial=0.0) < 0.0 for part in block.statistics):
+            return "it has negative norms"
+        if block.rays > self.receivers.size * (_RAYS * self.samples + _MORE_RAYS):
+            return f"it tells of {block.rays} rays for {self.receivers.size} vertices"
+        return None
 
 
 class Store(Protocol):
@@ -135,19 +178,31 @@ class Journal:
         self._counts[number] = block.vertices.size
 
     def find(self, number: int) -> Block | None:
-        """A block, if it is here and whole; perhaps another process has made it."""
-        found = _read(self._path(number), number)
+        """A block, if it is here and whole; perhaps another process has made it.
+
+        What is here and not whole is put aside with a note.
+        """
+        try:
+            found = _read(self._path(number), number)
+        except _NotABlock as error:
+            found = None
+            self.forget(number, str(error))
         if found is None:
             self._counts.pop(number, None)
         else:
             self._counts[number] = found.vertices.size
         return found
 
-    def forget(self, number: int) -> None:
-        """A block that is not what was expected."""
+    def forget(self, number: int, reason: str) -> None:
+        """Put a block aside that is not what was expected, and note the reason: its receivers are traced again."""
         self._counts.pop(number, None)
-        with contextlib.suppress(OSError):
-            self._path(number).unlink()
+        path = self._path(number)
+        log.warning("%s: is put aside and its block done again (%s)", path, reason)
+        try:
+            path.replace(path.with_suffix(_ASIDE))
+        except OSError:  # it is gone, or nothing can be moved here: whoever adds the block replaces it
+            with contextlib.suppress(OSError):
+                path.unlink()
 
     def __iter__(self) -> Iterator[tuple[int, Block]]:
         for number in list(self._counts):
@@ -181,22 +236,37 @@ def _slice(file: IO[bytes], begin: int, part: slice, kind: type) -> NDArray:
     return np.frombuffer(file.read(4 * (part.stop - part.start)), dtype=kind, count=part.stop - part.start)
 
 
+class _NotABlock(ValueError):
+    """Says why a file is none."""
+
+
 def _read(path: Path, number: int) -> Block | None:
-    """The block of a file; None if it is not there, or not whole."""
+    """The block of a file; None if it is not there.
+
+    Raises
+    ------
+    _NotABlock
+        Cut short, damaged, of another block or something else. Sizes are held against the length of the file before
+        anything is made of them.
+    """
     try:
+        if not path.is_file():
+            if path.exists():
+                raise _NotABlock("it is no file")
+            return None
         content = path.read_bytes()
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
+        raise _NotABlock(error.strerror or str(error)) from None
     if len(content) < _HEADER.size + _CHECKSUM.size:
-        return None
+        raise _NotABlock("it is cut short")
     mark, own, count, size, rays = _HEADER.unpack_from(content)
     end = _HEADER.size + 16 * count + 4 * size
     if mark != _MARK or own != number or len(content) != end + _CHECKSUM.size:
-        return None
+        raise _NotABlock("its header is that of another block, or of a file of another length")
     if zlib.crc32(memoryview(content)[:end]) != _CHECKSUM.unpack_from(content, end)[0]:
-        return None
+        raise _NotABlock("its checksum is another")
     vertices = np.frombuffer(content, np.int32, count, _HEADER.size)
     after = _HEADER.size + 4 * count
     statistics = BlockStatistics(*np.frombuffer(content, np.float32, 3 * count, after).reshape(3, -1))

@@ -15,6 +15,7 @@ from slepian_prt.compression.codec.surface import surface_of
 from slepian_prt.compression.pilot import channel_mixing
 from slepian_prt.errors import UserError
 from slepian_prt.machine.kept import Kept
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.machine.threads import map_in_threads
 from slepian_prt.sphere.harmonics import num_coefficients
 
@@ -61,7 +62,13 @@ def decode_all(packed: CompressedTransfer) -> tuple[CapCoefficients, ...]:
     UserError
         What was loaded does not fit together.
     """
-    return _decoded.of(packed, lambda: tuple(_decode_pieces(packed)))
+    def make() -> tuple[CapCoefficients, ...]:
+        each = np.array([basis.count for basis in packed.bases]) * packed.channels
+        size = 4 * int(packed.clusters.sizes @ each)
+        check_memory(size, "what is decoded", "precompute it again with fewer vertices")
+        return tuple(_decode_pieces(packed))
+
+    return _decoded.of(packed, make)
 
 
 def _decode_pieces(packed: CompressedTransfer) -> Iterator[CapCoefficients]:

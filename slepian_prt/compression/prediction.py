@@ -31,7 +31,7 @@ class Expectation:
         """
         power = np.ones(self.lost.size) if power is None else power
         total = float(power @ self.total)
-        return math.sqrt(float(power @ self.lost) / total) if total > 0.0 else 0.0
+        return math.sqrt(max(float(power @ self.lost), 0.0) / total) if total > 0.0 else 0.0
 
 
 def by_degree(squares: NDArray) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.compression.attempts import LocalCoder
 from slepian_prt.compression.blocks import ProjectedCaps
-from slepian_prt.compression.checkpoint import Block, Journal, journal
+from slepian_prt.compression.checkpoint import Block, Journal, Wanted, journal
 from slepian_prt.compression.encoder import MakeCoder
 from slepian_prt.compression.fingerprint import fingerprint
 from slepian_prt.compression.learning import LearnedBases
@@ -114,7 +114,7 @@ def trace_and_project(
     while True:
         cut = cut_receivers(source, projection)
         with journal(fingerprint(planned, projection, cut.blocks)) as store:
-            _trace(source, projection, cut, store, advance)
+            _trace(source, projection, cut, store, advance, planned.settings.samples)
             dark = [dark_receivers(block) for _, block in store]
             interior = find_interior_among(planned, dark)
             overrides = project_interior(source, projection, cut, interior)
@@ -138,10 +138,12 @@ def trace_fixed_lights(planned: PlannedScene, interior: InteriorVertices) -> tup
     return fixed, rays
 
 
-def _trace(source: Estimator[Any], projection: Projection, cut: Cut, store: Journal, advance: Advance) -> None:
+def _trace(
+    source: Estimator[Any], projection: Projection, cut: Cut, store: Journal, advance: Advance, samples: int
+) -> None:
     """Trace and project all blocks that are not in the store already."""
     count = sum(block.size for block in cut.blocks)
-    left = [number for number, block in enumerate(cut.blocks) if find_kept(store, number, block) is None]
+    left = [number for number in range(len(cut.blocks)) if find_kept(store, projection, cut, number, samples) is None]
     kept = len(cut.blocks) - len(left)
     if kept:
         log.info("%d of %d blocks were finished before and are kept", kept, len(cut.blocks))
@@ -152,11 +154,19 @@ def _trace(source: Estimator[Any], projection: Projection, cut: Cut, store: Jour
         advance(block.vertices.size, count)
 
 
-def find_kept(store: Journal, number: int, receivers: NDArray[np.int64]) -> Block | None:
-    """A block that was finished before, if it is of these receivers."""
+def find_kept(store: Journal, projection: Projection, cut: Cut, number: int, samples: int) -> Block | None:
+    """A block that was finished before, if it is what is wanted of its receivers, with so many rays from each.
+
+    One that is not is put aside with a note.
+    """
     block = store.find(number)
-    if block is not None and not np.array_equal(np.sort(block.vertices), np.sort(receivers)):
-        store.forget(number)
+    if block is None:
+        return None
+    receivers = cut.blocks[number]
+    wanted = Wanted(receivers, projection.learned.clusters.index[receivers], projection.widths, samples)
+    reason = wanted.misfit(block)
+    if reason is not None:
+        store.forget(number, reason)
         return None
     return block
 

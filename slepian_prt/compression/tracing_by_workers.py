@@ -79,7 +79,7 @@ class TracingJob:
     def open(self) -> Iterator[_OpenJob]:
         """The job in a worker."""
         with self.scene.open() as planned, _journal_here(self.folder) as store:
-            yield _OpenJob(planned.estimator(), self.projection, self.cut, store)
+            yield _OpenJob(planned.estimator(), self.projection, self.cut, store, planned.settings.samples)
 
 
 @contextmanager
@@ -103,6 +103,7 @@ class _OpenJob(NamedTuple):
     projection: Projection
     cut: Cut
     store: Journal
+    samples: int
 
 
 class _BlockFacts(NamedTuple):
@@ -153,7 +154,7 @@ class _CodedFacts(NamedTuple):
 
 def _trace_block(job: _OpenJob, number: int) -> Block:
     receivers = job.cut.blocks[number]
-    kept = find_kept(job.store, number, receivers)
+    kept = find_kept(job.store, job.projection, job.cut, number, job.samples)
     if kept is None:
         (kept,) = job.source.blocks([receivers], job.projection.block)
         job.store.add(number, kept)

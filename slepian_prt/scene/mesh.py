@@ -28,7 +28,7 @@ _DEGENERATE = 2.0
 _TWISTED = 0.01
 
 # Coordinates whose products of four are still finite.
-_LARGEST = 1e60
+LARGEST_COORDINATE = 1e60
 
 
 @dataclass(frozen=True, repr=False)
@@ -193,11 +193,11 @@ def check_geometry(positions: NDArray, faces: NDArray, origin: str) -> None:
             f"{origin}: {bad.size} vertices have NaN or infinite coordinates (the first is vertex {bad[0]}); "
             "remove them or export the mesh again"
         )
-    if np.abs(positions).max() > _LARGEST:
-        bad = np.flatnonzero((np.abs(positions) > _LARGEST).any(axis=1))
+    if np.abs(positions).max() > LARGEST_COORDINATE:
+        bad = np.flatnonzero((np.abs(positions) > LARGEST_COORDINATE).any(axis=1))
         raise UserError(
-            f"{origin}: {bad.size} vertices have coordinates above {_LARGEST:g} (the first is vertex {bad[0]}); "
-            "remove them or export the mesh again"
+            f"{origin}: {bad.size} vertices have coordinates above {LARGEST_COORDINATE:g} "
+            f"(the first is vertex {bad[0]}); remove them or export the mesh again"
         )
     check_faces(faces, len(positions), origin)
 

@@ -1,5 +1,6 @@
 import gc
 import os
+import random
 import subprocess
 import sys
 import tracemalloc
@@ -20,6 +21,7 @@ from slepian_prt.transport.direct import DirectTransfer
 from slepian_prt.transport.settings import TransportSettings
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy, sphere
+from tests.fuzzing import journals as damaged_blocks
 from tests.numerics import assert_exact, assert_rounded
 from tests.variants import VARIANT
 
@@ -243,6 +245,39 @@ def test_killed_at_any_block_and_resumed_gives_the_same_bytes(after, tmp_path, m
     assert ("were finished before and are kept" in caplog.text) == (after > 0)
     assert traced == [pilot, blocks - after]
     assert resumed.rays_traced == uninterrupted.rays_traced
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_blocks_that_are_not_those_of_the_plan_are_put_aside_and_done_again(seed, tmp_path, monkeypatch, cache, caplog):
+    """Whatever is in the journal, also with right checksums, the file is that of an undisturbed run."""
+    monkeypatch.setattr("slepian_prt.transport.direct._RAYS_PER_BLOCK", 1 << 12)
+    mesh, settings, job = bumpy(3), CompressionSettings(tolerance=0.1, clusters=6), TransportSettings(4, 64)
+    whole = compress_scene(mesh, settings, job)
+    reference = content(whole, tmp_path)
+    add, added = stores.Journal.add, []
+
+    def add_some(journal, number, block):
+        if len(added) == 3:
+            raise Killed
+        added.append(number)
+        add(journal, number, block)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(stores.Journal, "add", add_some)
+        with pytest.raises(Killed):
+            compress_scene(mesh, settings, job)
+    (folder,) = cache.iterdir()
+    before = {path: path.read_bytes() for path in folder.glob("*.block")}
+    spoilt = damaged_blocks.damage(folder, random.Random(seed))
+    same = spoilt.is_file() and spoilt.read_bytes() == before[spoilt]
+    other_rays = spoilt.is_file() and spoilt.read_bytes()[32:-4] == before[spoilt][32:-4] and not same
+    with caplog.at_level("WARNING"):
+        resumed = compress_scene(mesh, settings, job)
+    assert content(resumed, tmp_path) == reference
+    assert resumed.rays_traced <= 2 * whole.rays_traced + 1
+    if not other_rays:  # of a header whose checksum is right they may be believed, if they can be so many
+        assert (f"{spoilt}: is put aside and its block done again" in caplog.text) == (not same)
+        assert resumed.rays_traced == whole.rays_traced
 
 
 def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):

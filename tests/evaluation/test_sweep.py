@@ -1,5 +1,6 @@
 import csv
 import json
+import math
 import os
 import subprocess
 import sys
@@ -176,6 +177,31 @@ def test_a_stopped_sweep_goes_on(folder, tmp_path):
     for scene, other in ((folder / "bumpy.ply", TransportSettings(seed=1)), (moved, transport)):
         with plan_scene(scene, other) as planned:
             assert SweepCheckpoint(path, planned, environments, 0.05).points == {}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"error": {"sky": math.inf}}, {"error": {"sky": math.nan}}, {"error": {"other": 0.1}}, {"error": [0.1]},
+        {"tolerance": "0.3"}, {"samples": 2**70}, {"samples": -1}, {"bounces": []}, {"bytes_per_vertex": 1e300},
+        {"relight_seconds": None}, {"basis": 3}, {"key": None}, {"error": {"sky": -1.0}},
+    ],
+)  # fmt: skip
+def test_lines_of_a_stopped_sweep_that_are_no_results_are_passed_over(change, folder, tmp_path, caplog):
+    environments, path = [make_environment(sky(), name="sky")], tmp_path / "partial"
+    with plan_scene(folder / "bumpy.ply", TransportSettings()) as planned:
+        checkpoint = SweepCheckpoint(path, planned, environments, 0.05)
+        names = {"error": {"sky": 0.1}, "full_error": {"sky": 0.1}}
+        good, other = (replace(point(samples=n, bandlimit=2, tolerance=0.3), **names) for n in (16, 32))
+        checkpoint.add(good)
+        line = json.loads(path.read_text())
+        with path.open("ab") as file:
+            file.write((json.dumps(line | {"samples": 99} | change) + "\n").encode())
+            file.write(b"[" * 100_000 + b"\n\xff\xfe\n" + b'{"key": "cut sh')
+        checkpoint.add(other)
+        with caplog.at_level("WARNING"):
+            assert list(SweepCheckpoint(path, planned, environments, 0.05).points.values()) == [good, other]
+    assert "measured again" in caplog.text
 
 
 @pytest.mark.slow

@@ -92,7 +92,8 @@ def _spoil_bytes(content: bytes, random: random.Random) -> bytes:
 _VALUES: tuple[Any, ...] = (
     None, True, False, 0, 1, -1, 2, 3, 4, 255, 256, 65535, 65536, 10**6, 2**31 - 1, 2**31, 2**32, 2**62, 2**63, 2**64,
     10**30, -(2**63), 0.5, -0.5, 1e-320, 1e30, 1e300, -1e300, math.nan, math.inf, -math.inf,
-    "", "float32", "coded", "x" * 100_000, "\ud800", "\x1b[2J\n[/red]", "</script>", [], [[]], [0], [1, 2, 3], {}, {"a": 1},
+    "", "float32", "coded", "x" * 100_000, "\ud800", "\x1b[2J\n[/red]", "</script>",
+    [], [[]], [0], [1, 2, 3], {}, {"a": 1},
 )  # fmt: skip
 
 

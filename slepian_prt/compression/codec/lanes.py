@@ -20,6 +20,10 @@ from slepian_prt.compression.codec.models import PRECISION, WHOLE
 # States are at least this between two symbols; it is where encoders begin and decoders have to end.
 _START = 1 << 16
 
+# Lanes make their steps together if these are so many times as many as the symbols at most, and so many more; else caps
+# of similar numbers of steps do, so that files that make some lanes long and others many take no more time or memory.
+_SPARE, _MORE = 8, 1 << 20
+
 # Entries of decoding tables: what a slot says of frequency, place among those of its symbol, and symbol.
 _FREQUENCY_SHIFT, _OFFSET_SHIFT = np.uint32(19), np.uint32(7)
 _PRECISION, _WORD = np.uint32(PRECISION), np.uint32(16)
@@ -176,10 +180,27 @@ class LaneReader:
 
     def read(self, counts: NDArray[np.int64], models: NDArray) -> NDArray[np.int64]:
         """(n,) symbols, ``counts`` (caps,) of each cap, by ``models`` (n,)."""
-        grid = _Grid(self._lanes, counts)
+        steps = -(-counts // np.maximum(self._lanes, 1))
+        if int(steps.max(initial=0)) * self._state.size <= _SPARE * int(counts.sum()) + _MORE:
+            return self._read(self._lanes, counts, models, self._state, self._next)
+        symbols = np.empty(models.size, dtype=np.int64)
+        octaves, owners = np.frexp(steps)[1], np.repeat(np.arange(counts.size), counts)
+        for octave in np.unique(octaves[counts > 0]):
+            caps = octaves == octave
+            mine, rows = np.repeat(caps, self._lanes), caps[owners]
+            state, following = self._state[mine], self._next[mine]
+            symbols[rows] = self._read(self._lanes[caps], counts[caps], models[rows], state, following)
+            self._state[mine], self._next[mine] = state, following
+        return symbols
+
+    def _read(
+        self, lanes: NDArray[np.int64], counts: NDArray[np.int64], models: NDArray, state: NDArray, following: NDArray
+    ) -> NDArray[np.int64]:
+        """As `read`, of some caps with their states and next words, which go on; all lanes make all steps."""
+        grid = _Grid(lanes, counts)
         bases = grid.spread(models.astype(np.uint32), self._table.idle) << np.uint32(PRECISION)
         found = np.empty(bases.shape, dtype=np.uint32)
-        state, words, following = self._state, self._words, self._next
+        words = self._words
         # Methods instead of functions: with so small arrays a call costs as much as its work.
         look_up, low = self._table.entries.take, np.uint32(WHOLE - 1)
         slots, offsets = np.empty((2, state.size), dtype=np.uint32)

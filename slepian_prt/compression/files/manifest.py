@@ -11,10 +11,11 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from slepian_prt.transport.settings import LARGEST_BANDLIMIT
-
 FORMAT = "slepian_prt transfer"
 VERSION = 3
+
+# As of `TransportSettings`, which takes long to import.
+LARGEST_BANDLIMIT = 50
 
 # Faces are held in 32 bits.
 _MOST = (1 << 31) - 1

@@ -14,9 +14,13 @@ from slepian_prt.compression.stored_mesh.planes import from_ordered, from_planes
 from slepian_prt.compression.stored_mesh.reflectance import pack_albedo, unpack_albedo
 from slepian_prt.compression.stored_mesh.surface_normals import Surface, pack_normals, unpack_normals
 from slepian_prt.machine.kept import Kept
-from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.mesh import LARGEST_COORDINATE, Mesh
 from slepian_prt.scene.receivers import Receivers
 from slepian_prt.scene.scene import Part
+
+# Unit vectors, but for rounding to float32; and albedo that times radiance is still finite.
+_LONGEST_NORMAL = 1.0 + 1e-5
+_LARGEST_ALBEDO = 2.0**32
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,17 +75,26 @@ def read_mesh(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, note
 
     Raises
     ------
-    ValueError, KeyError, IndexError, TypeError
-        What does not fit together.
+    ValueError
+        What does not fit together, or is not finite.
     """
     pieces = read_pieces(entry, arrays)
-    positions, exact = _positions(pieces), bool(entry["exact"])
+    positions, exact = _positions(pieces), entry["exact"]
     if exact:
         positions = _with_all_bits(positions, entry, arrays)
-    surface = _surface(pieces, positions, exact)
-    normals = unpack_normals(arrays, surface, exact)
+    _check_range("positions", positions, -LARGEST_COORDINATE, LARGEST_COORDINATE)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of vertices without faces, far away
+        surface = _surface(pieces, positions, exact)
+        normals = unpack_normals(arrays, surface, exact)
+    _check_range("normals", normals, -_LONGEST_NORMAL, _LONGEST_NORMAL)
     albedo = unpack_albedo(entry["albedo"], arrays, _blocks(pieces), len(positions))
+    _check_range("albedo", albedo, 0.0, _LARGEST_ALBEDO)
     return Mesh(name, positions, normals, surface.faces.astype(np.int32), albedo, notes)
+
+
+def _check_range(name: str, values: NDArray, low: float, high: float) -> None:
+    if values.size and not low <= float(values.min()) <= float(values.max()) <= high:  # nor NaN
+        raise ValueError(f"{name} outside of [{low:g}, {high:g}]")
 
 
 def read_stored(entry: dict[str, Any], arrays: dict[str, NDArray], name: str, notes: tuple[str, ...]) -> StoredMesh:

@@ -8,7 +8,9 @@ import logging
 import math
 import mmap
 import os
+import struct
 import tempfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -49,7 +51,8 @@ class PixelMeans:
     """Means over passes: of the vectors, of their squares in each degree, of the background.
 
     Two copies take turns: a block is written to the one that its last finished pass is not in, and only then counted,
-    so that what is there when a process is killed is always whole.
+    with a checksum of what was written, so that what is there when a process is killed is always whole. A block whose
+    checksums are all others, because the disk or somebody changed it, is traced again.
 
     Parameters
     ----------
@@ -62,7 +65,7 @@ class PixelMeans:
         self.bandlimit, self._pixels, self._per_block = bandlimit, pixels, per_block
         self.blocks = -(-pixels // per_block)
         size, bands = num_coefficients(bandlimit), bandlimit + 1
-        shapes = ((self.blocks,), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 7))
+        shapes = ((2, self.blocks, 3), (2, pixels, 3, size), (2, pixels, 3, bands), (2, pixels, 7))
         begins = np.concatenate([[0], np.cumsum([_padded(4 * math.prod(shape)) for shape in shapes])])
         _allocate(file, int(begins[-1]))
         kinds = (np.uint32, np.float32, np.float32, np.float32)
@@ -70,7 +73,12 @@ class PixelMeans:
             np.memmap(file, kind, "r+", int(begin), shape)
             for kind, begin, shape in zip(kinds, begins, shapes, strict=False)
         ]
-        self._done, self._vectors, self._squares, self._others = tables
+        # Of both copies of a block: its passes, the checksum of its numbers, and that of both and the number of the block.
+        self._heads, self._vectors, self._squares, self._others = tables
+        self._done = np.array([self._find(block) for block in range(self.blocks)], dtype=np.int64)
+        lost = int(np.sum((self._done == 0) & self._heads.any(axis=(0, 2))))
+        if lost:
+            log.warning("%s: %d of %d blocks of pixels are damaged and are traced again", file.name, lost, self.blocks)
 
     def passes(self, block: int) -> int:
         """How many passes a block has."""
@@ -94,7 +102,26 @@ class PixelMeans:
                 np.add(before, new, out=table[done % 2, rows])
             else:
                 table[0, rows] = new
+        self._heads[done % 2, block] = self._head(done + 1, block)
         self._done[block] = done + 1
+
+    def _find(self, block: int) -> int:
+        """How many passes a block has on disk that are as they were written."""
+        found = 0
+        for copy in range(2):
+            done = int(self._heads[copy, block, 0])
+            fits = done > found and (done - 1) % 2 == copy
+            if fits and np.array_equal(self._heads[copy, block], self._head(done, block)):
+                found = done
+        return found
+
+    def _head(self, done: int, block: int) -> NDArray[np.uint32]:
+        """What says that a block has so many passes, from what there is of them."""
+        rows, checksum = self._rows(block), 0
+        for table in (self._vectors, self._squares, self._others):
+            checksum = zlib.crc32(np.ascontiguousarray(table[(done - 1) % 2, rows]), checksum)
+        own = zlib.crc32(struct.pack("<4Q", done, block, self._pixels, self.bandlimit), checksum)
+        return np.array([done, checksum, own], dtype=np.uint32)
 
     def means(self, block: int) -> tuple[BlockMeans, NDArray[np.float32]]:
         """Means over all passes of a block, and the variance of a coefficient of each degree (n, 3, L+1).

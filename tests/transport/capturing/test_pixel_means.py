@@ -1,5 +1,6 @@
 """Means over passes: means and variances, and what is left when a process is killed."""
 
+import mmap
 from contextlib import contextmanager
 
 import numpy as np
@@ -100,6 +101,42 @@ def test_killed_while_a_block_is_written(rng):
     with kept_means("job", PIXELS, PER_BLOCK, BANDLIMIT) as held:
         assert held.passes(0) == 1
         assert_exact(held.means(0)[0].vectors, first.vectors, "one pass is its own mean")
+
+
+@pytest.mark.parametrize("damage", ["passes", "number", "background", "head", "shorter", "other", "copied"])
+def test_blocks_that_are_damaged_are_traced_again(damage, rng, cache, caplog):
+    """What the file holds is believed only with the checksum that belongs to it."""
+    first = some_pass(rng, 4)
+    with killed(), kept_means("job", PIXELS, PER_BLOCK, BANDLIMIT) as held:
+        add(held, 0, first)
+        add(held, 1, first)
+        sizes = [held._heads.nbytes, held._vectors.nbytes]
+        raise Killed
+    (path,) = cache.iterdir()
+    page, content = mmap.ALLOCATIONGRANULARITY, bytearray(path.read_bytes())
+    if damage == "passes":
+        content[0:4] = b"\xff\xff\xff\xff"
+    elif damage == "number":
+        content[page + 7] ^= 64
+    elif damage == "background":
+        content[3 * page + 1] ^= 1
+    elif damage == "head":
+        content[8] ^= 1
+    elif damage == "copied":  # of another block, as it was
+        content[0:12] = content[12:24]
+        content[page : page + 4] = b"more"
+    elif damage == "shorter":
+        content = content[:page]
+    else:
+        content[:] = rng.integers(0, 256, len(content), dtype=np.uint8).tobytes()
+    assert max(sizes) < page
+    path.write_bytes(content)
+    with caplog.at_level("WARNING"), kept_means("job", PIXELS, PER_BLOCK, BANDLIMIT) as held:
+        whole = [] if damage in ("shorter", "other") else [1]
+        assert [held.passes(block) for block in range(3)] == [0, 1 if whole else 0, 0]
+        add(held, 0, first)
+        assert_exact(held.means(0)[0].vectors, first.vectors, "one pass is its own mean")
+    assert "are damaged and are traced again" in caplog.text
 
 
 def test_two_processes_do_not_share_their_means(rng):
