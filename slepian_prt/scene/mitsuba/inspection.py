@@ -91,7 +91,7 @@ class _Reader:
             self.parser.Parse(content, True)
         except expat.ExpatError as error:
             line = error.lineno if content.strip() else 1
-            raise self.fault(f"it is no well-formed XML: {expat.ErrorString(error.code)}", line) from None
+            raise self.fault(f"its XML is malformed: {expat.ErrorString(error.code)}", line) from None
 
     def fault(self, reason: str, line: int | None = None) -> UserError:
         file = "" if self.path == self.origin else f"{self.path}, "
