@@ -96,10 +96,7 @@ def load_xml(
 
 def load_dict(mi: Any, description: dict[str, Any], *, needs_camera: bool = False) -> tuple[Any, NDArray[np.float64]]:
     """A scene from a dict as of ``mi.load_dict``; as `load_xml`."""
-    try:
-        movable = not live_objects(description)
-    except RecursionError:
-        raise UserError("scene: its dict is nested too deeply, or holds itself; correct it") from None
+    movable = not live_objects(description)
     source = _Source("scene", None, lambda config: mi.parser.parse_dict(config, description), movable)
     return _load(mi, source, needs_camera=needs_camera)
 
