@@ -37,6 +37,8 @@ def read_content(path: Path, most: int | None = None) -> bytes:
             size = status.st_size if most is None else min(most, status.st_size)
             check_memory(size, f"{path}: what it holds", "make it smaller")
             return file.read(size)
+    except UserError:
+        raise
     except IsADirectoryError:
         raise UserError(f"{path}: is a folder; name a file") from None
     except FileNotFoundError:

@@ -116,7 +116,8 @@ def _open_mitsuba(
             else:
                 loaded = scene_of(mi, source, name)
             _remark_on_coordinates(loaded, name)
-            scene = scene_from_mitsuba(mi, loaded, Path(name), origin, view)
+            with np.errstate(all="ignore"):  # numbers that leave the range of floats are found where they come out
+                scene = scene_from_mitsuba(mi, loaded, Path(name), origin, view)
         yield _told_of_steps(scene)
 
 

@@ -14,15 +14,26 @@ from slepian_prt.lighting.map_rows import Rows, check_shape
 _HEADER = re.compile(rb"P([Ff])\s+(\d{1,18})\s+(\d{1,18})\s+([-+.\deE]+)\s")
 
 
+def pfm_size(path: Path) -> tuple[int, int]:
+    """Height and width that a file says it has; ValueError if it is none."""
+    header = _read_header(path)
+    return int(header[3]), int(header[2])
+
+
+def _read_header(path: Path) -> re.Match[bytes]:
+    with path.open("rb") as file:
+        header = _HEADER.match(file.read(256))
+    if header is None:
+        raise ValueError("its header is none of a .pfm")
+    return header
+
+
 def pfm_rows(path: Path) -> Rows:
     """A .pfm file (P. Debevec's, as in netpbm's manual), grey or in colours.
 
     The sign of its scale says the order of bytes, its size is a factor of the texels, as in Mitsuba.
     """
-    with path.open("rb") as file:
-        header = _HEADER.match(file.read(256))
-    if header is None:
-        raise ValueError("its header is none of a .pfm")
+    header = _read_header(path)
     channels = 3 if header[1] == b"F" else 1
     width, height, scale = int(header[2]), int(header[3]), float(header[4])
     check_shape(str(path), height, width)

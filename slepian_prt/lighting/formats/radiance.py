@@ -57,6 +57,12 @@ class _Header:
     size: int
 
 
+def radiance_size(path: Path) -> tuple[int, int]:
+    """Height and width that a picture says it has; ValueError if it is none."""
+    header = _parse_header(path, read_content(path, _LONGEST_HEADER))
+    return header.height, header.width
+
+
 def radiance_rows(path: Path) -> Rows:
     """A Radiance picture as the radiance that it was made from, held as bytes.
 

@@ -7,8 +7,11 @@ from numpy.typing import NDArray
 
 from slepian_prt.scene.pieces import connected_pieces
 
-# Vertices about each, itself counted, up to which those that are near may be copies: all corners of its faces.
-_MOST_NEAR = 32
+# Vertices about each, itself counted, up to which those that are near may be copies, if all are fewer pairs than so
+# many; how many are left otherwise; and vertices that are looked at for that.
+_MOST_NEAR, _MOST_PAIRS = 32, 10_000_000
+_FEW_NEAR = 2.0
+_SAMPLE = 256
 
 
 def join_equal(*columns: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -80,10 +83,16 @@ def join_near(
 
     count = len(positions)
     tree = cKDTree(positions)
-    # Rounding leaves a few copies of each vertex; where more are near, they are the surface itself, next to something
-    # far away, and their pairs would not fit into memory.
-    while tree.count_neighbors(tree, tolerance) > _MOST_NEAR * count:
-        tolerance /= 4
+    # Rounding leaves a few copies of each vertex; where very many are near, they are the surface itself, next to
+    # something far away, and their pairs would not fit into memory.
+    some = positions[:: max(1, count // _SAMPLE)]
+
+    def near() -> float:
+        return float(np.mean(tree.query_ball_point(some, tolerance, return_length=True))) if count else 0.0
+
+    if near() * count > max(_MOST_PAIRS, _MOST_NEAR * count):
+        while near() > _FEW_NEAR:
+            tolerance /= 4
     pairs = tree.query_pairs(tolerance, output_type="ndarray").astype(np.int64)
     if not len(pairs):
         return np.arange(count), np.arange(count)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 _STRAIGHT = 1e-6
 
 # Corners of the largest polygon that is spanned with least area, which takes their number cubed; and how much such
-# work is done for all of a file: that of fifty of these.
+# work is done for all of a file: that of ten of these.
 _MOST_SPANNED = 100
-_MOST_SPANNING = 50 * _MOST_SPANNED**2
+_MOST_SPANNING = 10 * _MOST_SPANNED**3
 
 
 def triangulate(
@@ -150,7 +150,7 @@ def _clip_ears(
         return triangles.astype(np.int64)
     # A corner left out of a bent polygon would be a hole in the surface, and out of a flat one is none.
     if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > _STRAIGHT:
-        budget[0] -= len(flat) ** 2
+        budget[0] -= len(flat) ** 3
         return _span(points) if len(flat) <= _MOST_SPANNED and budget[0] >= 0 else fan
     return triangles.astype(np.int64) if len(triangles) else fan
 

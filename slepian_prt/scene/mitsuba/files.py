@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.renderer.threads import two_threads
 from slepian_prt.scene.mitsuba.errors import load_failure, unused_parameters
+from slepian_prt.scene.mitsuba.inspection import check_named_files, inspect_xml
 from slepian_prt.scene.mitsuba.objects import is_of_mitsuba, live_objects, scene_of
 from slepian_prt.scene.mitsuba.recentering import far_center, move_scene
 
@@ -78,6 +79,7 @@ def load_xml(
     parameters = parameters or {}
     if taken := [name for name in _TAKEN if name in parameters]:
         raise UserError(f"{path}: Mitsuba takes no parameter ${taken[0]} from outside; rename it in the scene")
+    inspect_xml(path, parameters)
 
     def parse(config: Any) -> Any:
         try:
@@ -197,6 +199,11 @@ def _made(mi: Any, state: Any, origin: str) -> Any:
                 return str(node.props["filename"])
         return None
 
+    def fault(node: Any, reason: str) -> UserError:
+        place = mi.parser.file_location(state, node)
+        return load_failure(ValueError(f"At {place}: {reason}" if place else reason), origin, mi.variant())
+
+    check_named_files(mi, state, fault)
     try:
         with two_threads():
             made = mi.parser.instantiate(_configuration(mi), state)

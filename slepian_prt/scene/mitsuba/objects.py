@@ -8,16 +8,21 @@ from typing import Any, TypeGuard
 
 from slepian_prt.errors import UserError
 
+# Dicts within dicts; Mitsuba's parser dies of too many.
+_DEEPEST = 100
+
 
 def is_of_mitsuba(thing: Any) -> TypeGuard[Any]:
     """Whether it is an object of Mitsuba; Mitsuba itself is not imported."""
     return any((kind.__module__, kind.__name__) == ("mitsuba", "Object") for kind in type(thing).__mro__)
 
 
-def live_objects(thing: Any) -> list[Any]:
-    """Mitsuba's objects in a dict, or the one given, if they belong to a variant."""
+def live_objects(thing: Any, depth: int = 0) -> list[Any]:
+    """Mitsuba's objects in a dict, or the one given, if they belong to a variant; UserError for a dict in itself."""
     if isinstance(thing, dict):
-        return [found for value in thing.values() for found in live_objects(value)]
+        if depth > _DEEPEST:
+            raise UserError(f"scene: its dict holds itself, or is nested more than {_DEEPEST} deep; correct it")
+        return [found for value in thing.values() for found in live_objects(value, depth + 1)]
     return [thing] if is_of_mitsuba(thing) and thing.variant_name() else []
 
 

@@ -134,7 +134,8 @@ def sort_shapes(mi: Any, loaded: Any, path: str, *, toward_view: bool) -> Sorted
         A shape or a material that cannot be used.
     """
     box = loaded.bbox()
-    diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
+    with np.errstate(invalid="ignore"):  # without a finite size
+        diagonal = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
     if loaded.shapes() and not np.isfinite(diagonal):
         raise UserError(f"{path}: its shapes have no finite size; correct their transforms")
     return _Sorter(mi, loaded, path, diagonal, toward_view).sort()

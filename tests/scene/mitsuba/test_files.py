@@ -99,7 +99,7 @@ WRONG = {
     "instance of nothing": (GROUP.format("a", "") + "\n" + instance("a"), r"line 4: the shapegroup .* no shapes"),
     "instance without a group": ('<shape type="instance"/>', r"line 3: shape 'instance': .*'shapegroup'"),
     "no attribute": ('<shape kind="sphere"/>', r"line 3: unexpected attribute \"kind\""),
-    "no XML": ('<shape type="sphere">', r"line 4: Start-end tags mismatch"),
+    "no XML": ('<shape type="sphere">', r"line 4: its XML is malformed: mismatched tag"),
     "no included file": ('<include filename="gone.xml"/>', r"line 3: included file \"gone\.xml\" not found"),
 }
 
