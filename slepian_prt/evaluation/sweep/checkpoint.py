@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from slepian_prt.compression.encoder import WarmStart
 from slepian_prt.compression.fingerprint import instanced_shapes, shape_arrays
 from slepian_prt.evaluation.provenance import machine, versions
 from slepian_prt.evaluation.sweep.axes import Setting
 from slepian_prt.evaluation.sweep.results import Point
+from slepian_prt.evaluation.sweep.starts import start_as_json, start_from_json
 from slepian_prt.files import add_line, is_own_file
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.transport.planned import PlannedScene
@@ -36,6 +38,8 @@ class SweepCheckpoint:
     ----------
     points : dict of Setting to Point
         Those in the file when it was opened.
+    starts : dict of Setting to WarmStart or None
+        What each of them was coded from, or is a start for.
     """
 
     def __init__(
@@ -49,23 +53,25 @@ class SweepCheckpoint:
         self._path = path
         self._key = _fingerprint(planned, environments, noise, by_workers)
         self.points: dict[Setting, Point] = {}
+        self.starts: dict[Setting, WarmStart | None] = {}
         if path is None or not is_own_file(path):
             return
         for line in path.read_text().splitlines():
             try:
                 entry = json.loads(line)
                 if entry.pop("key") == self._key:
-                    point = Point.from_dict(entry)
+                    start, point = start_from_json(entry.pop("start")), Point.from_dict(entry)
+                    self.starts[point.setting] = start
                     self.points[point.setting] = point
             except (ValueError, KeyError, TypeError, AttributeError):
                 continue  # the line that was being written when it was killed
 
-    def add(self, point: Point) -> None:
-        """Keep a point, on the disk when this returns."""
+    def add(self, point: Point, start: WarmStart | None = None) -> None:
+        """Keep a point with the start of its coding, on the disk when this returns."""
         if self._path is None:
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        add_line(self._path, json.dumps({"key": self._key, **point.as_dict()}))
+        add_line(self._path, json.dumps({"key": self._key, **point.as_dict(), "start": start_as_json(start)}))
 
     def remove(self) -> None:
         """Delete the file, when all is done."""
