@@ -82,9 +82,6 @@ def kill_runs(command: str, count: int, moments: random.Random, subdivisions: in
     counted: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="kill_runs-") as name:
         undisturbed = _folder(Path(name) / "undisturbed", subdivisions)
-        _run(command, undisturbed)  # kernels are compiled once
-        shutil.rmtree(undisturbed)
-        undisturbed = _folder(undisturbed, subdivisions)
         started = time.perf_counter()
         status, said = _run(command, undisturbed)
         seconds = time.perf_counter() - started

@@ -105,15 +105,17 @@ def _kill(cluster: LocalCluster) -> None:
 def _unheard_by_children() -> Iterator[None]:
     """Processes that begin in the block, or later from its threads, hear of no Ctrl-C, and here it waits until its end.
 
-    A terminal interrupts all processes of a command, and it is ours to end those of the cluster.
+    A terminal interrupts all processes of a command, and tells all when it is closed; it is ours to end those of the
+    cluster.
     """
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # which would undo the mask of the thread that starts it
     with interrupts_held():
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # threads and their children inherit it
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})  # threads and their children inherit it
         try:
+            resource_tracker.ensure_running()  # which hears of no Ctrl-C, and would undo a mask that it is in
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             yield
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)

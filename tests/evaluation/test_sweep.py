@@ -154,7 +154,7 @@ def test_a_stopped_sweep_goes_on(folder, tmp_path):
     path = tmp_path / "partial"
     with plan_scene(folder / "bumpy.ply", transport) as planned:
         checkpoint = SweepCheckpoint(path, planned, environments, 0.05)
-    kept = replace(point(samples=16, bandlimit=2, tolerance=0.3), error={"sky": 0.123})
+    kept = replace(point(samples=max(axes.samples), bandlimit=2, tolerance=0.3), error={"sky": 0.123})
     checkpoint.add(kept)
     with path.open("a") as file:
         file.write('{"key": "cut sho')

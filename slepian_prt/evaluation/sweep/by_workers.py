@@ -58,8 +58,10 @@ def _measure(_nothing: Any, item: tuple[Shared, Shared, list[Setting], list[Foun
     return found
 
 
-def measure_by_workers(crew: Crew, levels: Sequence[Level], metrics: dict[int, MapMetric]) -> Iterator[Point]:
-    """Points of all settings as they come in.
+def measure_by_workers(
+    crew: Crew, levels: Sequence[Level], metrics: dict[int, MapMetric], known: Found
+) -> Iterator[tuple[Point, CompressionTimes]]:
+    """Points of all settings as they come in, each with what others may start from.
 
     Parameters
     ----------
@@ -68,9 +70,11 @@ def measure_by_workers(crew: Crew, levels: Sequence[Level], metrics: dict[int, M
         Those with most rays first.
     metrics : dict of int to MapMetric
         For each bandlimit.
+    known : list of (Point, CompressionTimes)
+        Of settings that were measured before.
     """
     handles = [crew.share(metrics)]
-    first: dict[Setting, Future] = {}
+    first: dict[Setting, Future | Found] = {rays_aside(point.setting): [(point, times)] for point, times in known}
     futures: list[Future] = []
     try:
         for level in levels:
@@ -83,7 +87,7 @@ def measure_by_workers(crew: Crew, levels: Sequence[Level], metrics: dict[int, M
                 first.update({rays_aside(s): future for s in settings if rays_aside(s) not in first})
                 futures.append(future)
         for _, found in crew.results(futures):
-            yield from (point for point, _ in found)
+            yield from found
     finally:
         for handle in handles:
             crew.release(handle)

@@ -108,6 +108,11 @@ class CompressionTimes:
     relight: float
     start: WarmStart | None
 
+    @classmethod
+    def of(cls, point: Point, start: WarmStart | None) -> CompressionTimes:
+        """Those that a point holds."""
+        return cls(point.compress_seconds, point.prepare_seconds, point.relight_seconds, start)
+
 
 class SettingMeasurer:
     """Compresses as each setting wants it and measures; later settings use what earlier ones made.

@@ -7,7 +7,7 @@ is stated. Rays are traced at the highest bandlimit; transfer of a lower one is 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -19,9 +19,9 @@ from slepian_prt.distributed.given import given_crew
 from slepian_prt.errors import UserError
 from slepian_prt.evaluation.lights import check_lights, lights_of
 from slepian_prt.evaluation.sweep.axes import Axes, Setting
-from slepian_prt.evaluation.sweep.by_workers import Level, measure_by_workers
+from slepian_prt.evaluation.sweep.by_workers import Found, Level, measure_by_workers
 from slepian_prt.evaluation.sweep.checkpoint import SweepCheckpoint
-from slepian_prt.evaluation.sweep.measure import SettingMeasurer, measure_references, measure_shares
+from slepian_prt.evaluation.sweep.measure import CompressionTimes, SettingMeasurer, measure_references, measure_shares
 from slepian_prt.evaluation.sweep.results import Point, Sweep
 from slepian_prt.evaluation.vertex_error import MapMetric
 from slepian_prt.lighting.environment import Environment
@@ -83,7 +83,8 @@ def sweep(
     ):
         environments = lights_of(planned.scene, environments)
         kept = SweepCheckpoint(checkpoint, planned, environments, noise, crew is not None)
-        points = {setting: kept.points[setting] for setting in settings if setting in kept.points}
+        again = _to_measure(settings, kept.points)
+        points = {setting: kept.points[setting] for setting in settings if setting not in again}
         if points:
             report(f"{len(points)} of {len(settings)} settings were measured before and are kept")
             advance(len(points), len(settings))
@@ -94,11 +95,14 @@ def sweep(
         shared["references"] = sum(reference.seconds for reference in references)
         left = [setting for setting in settings if setting not in points]
         levels = _trace_levels(planned, shared_out, axes, left, report)
-        for point in (
-            _measure_here(levels, metrics, report) if crew is None else measure_by_workers(crew, list(levels), metrics)
+        known = [(point, CompressionTimes.of(point, kept.starts[setting])) for setting, point in points.items()]
+        for point, times in (
+            _measure_here(levels, metrics, known, report)
+            if crew is None
+            else measure_by_workers(crew, list(levels), metrics, known)
         ):
             points[point.setting] = point
-            kept.add(point)
+            kept.add(point, times.start)
             advance(1, len(settings))
     kept.remove()
     return Sweep(
@@ -110,6 +114,17 @@ def sweep(
         shared,
         planned.plan.effects,
     )
+
+
+def _to_measure(settings: Sequence[Setting], kept: Container[Setting]) -> set[Setting]:
+    """Settings that are left, and with fewer rays than the most those that differ in the tolerance only.
+
+    These share what the finest of them made; without it they would be coded a little differently.
+    """
+    most = max(setting.samples for setting in settings)
+    left = {setting for setting in settings if setting not in kept}
+    families = {replace(setting, tolerance=0.0) for setting in left if setting.samples < most}
+    return left | {setting for setting in settings if replace(setting, tolerance=0.0) in families}
 
 
 def _trace_levels(
@@ -126,13 +141,16 @@ def _trace_levels(
 
 
 def _measure_here(
-    levels: Iterable[Level], metrics: dict[int, MapMetric], report: Callable[[str], None]
-) -> Iterator[Point]:
+    levels: Iterable[Level], metrics: dict[int, MapMetric], known: Found, report: Callable[[str], None]
+) -> Iterator[tuple[Point, CompressionTimes]]:
     measurer = SettingMeasurer(metrics)
+    for point, times in known:
+        measurer.know(point.setting, times)
     for level in levels:
         for setting in level.settings:
             report(setting.label)
-            yield measurer.measure(setting, level.transfer, level.shares[setting.bandlimit])
+            point = measurer.measure(setting, level.transfer, level.shares[setting.bandlimit])
+            yield point, measurer.times_of(setting)
 
 
 def _compile_kernels(planned: PlannedScene) -> float:

@@ -1,0 +1,242 @@
+"""Whatever ends the command, it leaves nothing half done, says one line, and ends its workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import psutil
+import pytest
+import trimesh
+
+from slepian_prt.compression.files.prt_file import load
+from slepian_prt.distributed.interrupts import interrupts_held
+from tests.distributed.test_crew import wait_until
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+PRECOMPUTE = ["precompute", "ball.ply", "-o", "out.prt", "--bandlimit", "2", "--samples", "16", "--clusters", "4"]
+
+# Each stage, by a function that is called in it.
+STAGES = {
+    "tracing": "slepian_prt.compression.tracing.Journal.add",
+    "a thread": "slepian_prt.compression.projection.Projection.block",
+    "coding": "slepian_prt.compression.stream._encode",
+    "writing": "slepian_prt.files.os.fsync",
+}
+
+
+def begin(code: str, folder: Path, *arguments: str, ignored: tuple[signal.Signals, ...] = ()) -> subprocess.Popen[str]:
+    """A Python process in a session of its own, which hears of all signals but those ignored."""
+
+    def set_signals() -> None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # runners in the background hand down others
+            signal.signal(number, signal.SIG_IGN if number in ignored else signal.SIG_DFL)
+
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code), *arguments],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=set_signals,
+        env={**os.environ, "SLEPIAN_PRT_CACHE": str(folder / "cache"), "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+
+
+def signalled_in(stage: str, number: int) -> str:
+    """The command, which sends itself a signal when a stage begins, and goes on with it."""
+    return f"""
+        import os
+        from pkgutil import resolve_name
+        owner, name = {STAGES[stage]!r}.rsplit(".", 1)
+        owner = resolve_name(owner)
+        act = getattr(owner, name)
+        def signalled(*arguments, **named):
+            os.kill(os.getpid(), {int(number)})
+            return act(*arguments, **named)
+        setattr(owner, name, signalled)
+        from slepian_prt.__main__ import main
+        main()
+    """
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    trimesh.creation.icosphere(2).export(tmp_path / "ball.ply")
+    return tmp_path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stage", "number", "status", "said"),
+    [
+        ("tracing", signal.SIGTERM, 143, "terminated"),
+        ("a thread", signal.SIGINT, 130, "interrupted"),
+        ("coding", signal.SIGINT, 130, "interrupted"),
+        ("writing", signal.SIGHUP, 129, "the terminal was closed"),
+    ],
+)
+def test_a_signal_ends_the_command_cleanly_in_every_stage(folder, stage, number, status, said):
+    process = begin(signalled_in(stage, number), folder, *PRECOMPUTE)
+    _, error = process.communicate(timeout=120)
+    assert error.splitlines() == [f"slepian-prt: {said}; nothing was written"]
+    assert process.returncode == status
+    assert {path.name for path in folder.iterdir()} == {"ball.ply", "cache"}
+    if stage == "writing":  # what was finished is there for the next run
+        again = begin("from slepian_prt.__main__ import main; main()", folder, *PRECOMPUTE)
+        _, error = again.communicate(timeout=120)
+        assert "were finished before and are kept" in error
+        assert load(folder / "out.prt").vertex_count == 162
+        assert not list((folder / "cache").iterdir())
+
+
+@pytest.mark.slow
+def test_under_nohup_a_closed_terminal_ends_nothing(folder):
+    process = begin(signalled_in("tracing", signal.SIGHUP), folder, *PRECOMPUTE, ignored=(signal.SIGHUP,))
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 0, error
+    assert (folder / "out.prt").is_file()
+
+
+HEARD = """
+    import os, signal, sys, time
+    from slepian_prt.signals import heard
+    def send(name):
+        os.kill(os.getpid(), getattr(signal, name))
+    def wait():
+        for _ in range(600):
+            time.sleep(0.1)
+    try:
+        with heard():
+            {body}
+    except KeyboardInterrupt as ended:
+        sys.exit(128 + ended.number)
+"""
+
+
+def outcome(body: str, folder: Path) -> int:
+    """The status of a process that listens to signals while it does something."""
+    process = begin(textwrap.dedent(HEARD).replace("{body}", textwrap.indent(body, 8 * " ").lstrip()), folder)
+    _, error = process.communicate(timeout=60)
+    assert error == ""
+    return process.returncode
+
+
+def while_cleaning(first: str, second: str) -> str:
+    return f'try:\n    send("{first}")\n    wait()\nfinally:\n    send("{second}")\n    open("cleaned", "w")'
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "status"),
+    [
+        ("SIGINT", "SIGINT", -signal.SIGINT),
+        ("SIGTERM", "SIGINT", -signal.SIGINT),
+        ("SIGINT", "SIGTERM", -signal.SIGTERM),
+        ("SIGTERM", "SIGTERM", 143),
+        ("SIGHUP", "SIGTERM", 129),
+    ],
+)
+def test_a_second_interrupt_ends_it_at_once_and_what_comes_twice_by_itself_does_not(tmp_path, first, second, status):
+    """``timeout`` and closed terminals send signals twice."""
+    assert outcome(while_cleaning(first, second), tmp_path) == status
+    assert (tmp_path / "cleaned").exists() == (status > 0)
+
+
+def test_a_second_interrupt_while_they_are_held(tmp_path):
+    body = (
+        'from slepian_prt.distributed.interrupts import interrupts_held\nwith interrupts_held():\n    send("SIGINT")\n'
+        '    open("went-on", "w")\n    send("SIGINT")\n    wait()'
+    )
+    assert outcome(body, tmp_path) == -signal.SIGINT
+    assert (tmp_path / "went-on").exists()
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_signals_that_are_held_come_at_the_end(tmp_path, name, status):
+    body = (
+        "from slepian_prt.distributed.interrupts import interrupts_held\nwith interrupts_held():\n"
+        f'    send("{name}")\n    open("went-on", "w")\nwait()'
+    )
+    assert outcome(body, tmp_path) == status
+    assert (tmp_path / "went-on").exists()
+
+
+def test_a_signal_in_a_finalizer_is_not_lost(tmp_path):
+    """Python would print a traceback there and go on."""
+    body = 'class Held:\n    def __del__(self):\n        send("SIGTERM")\n        time.sleep(1)\nHeld()\nwait()'
+    assert outcome(body, tmp_path) == 143
+
+
+def test_handlers_of_others_stay(tmp_path):
+    """The library, and the command called as a function, set none."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    from slepian_prt.cli import main
+
+    before = [signal.getsignal(number) for number in numbers]
+    assert main(["spectrum", "--bandlimit", "4", "--half-angle", "40", "--json", str(tmp_path / "x.json")]) == 0
+    assert [signal.getsignal(number) for number in numbers] == before
+    with interrupts_held():
+        assert signal.getsignal(signal.SIGTERM) is before[1]  # the system's own
+    assert [signal.getsignal(number) for number in numbers] == before
+
+
+SPECTRUM = ["spectrum", "--bandlimit", "4", "--half-angle", "40", "--json", "x.json", "--plot", "x.png"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gone", ["pipe", "terminal", "closed", "full"])
+def test_what_nobody_reads_ends_no_work(tmp_path, gone):
+    """Standard streams whose reader has gone; a full disk is told, when all is done."""
+    code = "from slepian_prt.__main__ import main; main()"
+    command, run = [sys.executable, "-c", code, *SPECTRUM], {"cwd": tmp_path, "check": False, "timeout": 120}
+    if gone == "closed":
+        shell = f"exec {sys.executable} -c '{code}' {' '.join(SPECTRUM)} >&- 2>&- <&-"
+        done = subprocess.run(["sh", "-c", shell], **run)
+    elif gone == "full":
+        with open("/dev/full", "wb") as full:
+            done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, **run)
+        (line,) = done.stderr.splitlines()
+        assert "standard output: cannot be written (No space left on device)" in line
+    else:
+        reading, writing = os.pipe() if gone == "pipe" else os.openpty()
+        os.close(reading)
+        done = subprocess.run(command, stdout=writing, stderr=writing, **run)
+        os.close(writing)
+    assert done.returncode == (2 if gone == "full" else 0)
+    assert sorted(os.listdir(tmp_path)) == ["x.json", "x.png"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "group"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGHUP, True)])
+def test_workers_end_with_the_command(tmp_path, number, group):
+    """Also where all processes of the command get the signal, as of a terminal that is closed."""
+    pytest.importorskip("distributed")
+    code = """
+        import os, sys
+        from slepian_prt.distributed.crew import open_crew
+        from slepian_prt.signals import heard
+        from tests.distributed import tasks
+        try:
+            with heard(), open_crew(workers=2) as crew:
+                workers = crew.client.run(os.getpid).values()
+                for number, _ in crew.results(crew.submit(tasks.wait, [0.0] + [30.0] * 4)):
+                    if number == 0:
+                        print(*workers, flush=True)
+        except KeyboardInterrupt as ended:
+            sys.exit(128 + ended.number)
+    """
+    command = begin(code, tmp_path)
+    assert command.stdout is not None
+    workers = [int(word) for word in command.stdout.readline().split()]
+    assert len(workers) == 2
+    children = psutil.Process(command.pid).children(recursive=True)
+    (os.killpg if group else os.kill)(command.pid, number)
+    _, error = command.communicate(timeout=60)  # what workers do takes half a minute, and is not waited for
+    assert (command.returncode, error) == (128 + number, "")
+    assert wait_until(lambda: not any(child.is_running() for child in children), 10.0)
