@@ -5,21 +5,24 @@ Bases of this kind must see all vectors and are stored with them.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from slepian_prt.compression.bases import Candidate
 from slepian_prt.compression.clustering import Clusters, enclose_clusters
 from slepian_prt.compression.linear_basis import LinearBasis
 from slepian_prt.compression.pilot import decorrelate
 from slepian_prt.compression.prediction import by_degree
+from slepian_prt.machine.threads import map_in_threads
 
 _ITERATIONS = 12
-_SETTLED = 1e-3
 _CANDIDATES = 16
+
+# Up to this part of all components they are found faster by themselves.
+_FEW = 0.125
 _BLOCK = 4096
 
 # Terms that clusters are iterated for when their number is not given.
@@ -81,34 +84,60 @@ def iterate_clusters(
         Of the bases that will be used, the mean counted.
     """
     mixed = decorrelate(vectors)
-    count, _, size = mixed.shape
+    count = len(mixed)
     index = clusters.index.astype(np.int64)
-    last = math.inf
     for iteration in range(_ITERATIONS):
         report(f"clustered PCA, {terms} terms: clustering, pass {iteration + 1}")
-        fits = [principal(mixed[index == c]) for c in np.unique(index)]
-        near = _nearest_means(mixed, np.array([mean for mean, _, _ in fits], dtype=np.float32))
+        # Each cluster by itself in a thread of ours: with threads of BLAS, which wait for each other in every step of
+        # every decomposition, the passes took minutes on a busy machine.
+        members = [np.flatnonzero(index == c) for c in np.unique(index)]
+        fits = list(map_in_threads(lambda own: _strongest(mixed[own], terms - 1), members))
+        near = _nearest_means(mixed, np.array([mean for mean, _ in fits]))
         error = np.full(count, np.inf)
         nearest = np.zeros(count, dtype=np.int64)
-        for c, (mean, components, _) in enumerate(fits):
-            kept, offset = components[: terms - 1].T.astype(np.float32), mean.astype(np.float32)
-            rows = np.flatnonzero(near[:, c])
-            for begin in range(0, rows.size, _BLOCK):
-                block = rows[begin : begin + _BLOCK]
-                centred = mixed[block] - offset
-                along = centred.reshape(-1, size) @ kept
-                held = (along**2).reshape(block.size, -1).sum(axis=1)
-                missing = np.einsum("ncm,ncm->n", centred, centred) - held
-                better = block[missing < error[block]]
-                error[better] = missing[missing < error[block]]
-                nearest[better] = c
-        total = float(np.maximum(error, 0.0).sum())
-        index = nearest
-        if total > (1.0 - _SETTLED) * last:
+        candidates = [np.flatnonzero(near[:, c]) for c in range(len(fits))]
+        missing_of = map_in_threads(lambda given: _missing(mixed, *given), zip(candidates, fits, strict=True))
+        for c, (rows, missing) in enumerate(zip(candidates, missing_of, strict=True)):
+            better = missing < error[rows]
+            error[rows[better]] = missing[better]
+            nearest[rows[better]] = c
+        # That the error hardly falls is no reason to stop: with many terms it is all rounding, and a pass in which a
+        # vertex lost its cluster from among the candidates was taken for the end.
+        if np.array_equal(nearest, index):
             break
-        last = total
+        index = nearest
     used, index = np.unique(index, return_inverse=True)
     return enclose_clusters(index.astype(np.int32), used.size, axes)
+
+
+def _strongest(vectors: NDArray, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean (channels, M) and the strongest components (M, count), as of `principal`; the others are not computed."""
+    size = vectors.shape[2]
+    vectors = vectors.astype(np.float64)
+    mean = vectors.mean(axis=0)
+    centred = (vectors - mean).reshape(-1, size)
+    moment = centred.T @ centred / len(centred)
+    if count == 0:
+        return mean.astype(np.float32), np.zeros((size, 0), dtype=np.float32)
+    if count > _FEW * size:
+        components = np.linalg.eigh(moment)[1][:, size - count :]
+    else:
+        _, components = eigh(moment, subset_by_index=(size - count, size - 1), overwrite_a=True, check_finite=False)
+    return mean.astype(np.float32), components.astype(np.float32)
+
+
+def _missing(
+    vectors: NDArray, rows: NDArray[np.int64], fit: tuple[NDArray[np.float32], NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """Squared error (n,) of some vectors in a cluster's mean and components."""
+    mean, components = fit
+    missing = np.empty(rows.size, dtype=np.float32)
+    for begin in range(0, rows.size, _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        centred = vectors[rows[block]] - mean
+        held = ((centred.reshape(-1, len(components)) @ components) ** 2).reshape(len(centred), -1).sum(axis=1)
+        missing[block] = np.einsum("ncm,ncm->n", centred, centred) - held
+    return missing
 
 
 def _nearest_means(vectors: NDArray, means: NDArray) -> NDArray[np.bool_]:

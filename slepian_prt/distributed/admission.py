@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from slepian_prt.distributed.examination import Equipment, examine, look_around, package_versions, sharing_of
 from slepian_prt.distributed.held import use_threads
 from slepian_prt.errors import UserError
-from slepian_prt.machine.threads import keep_one_blas_thread, take_share
+from slepian_prt.machine.threads import keep_one_blas_thread, most_threads, take_share
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -90,7 +90,9 @@ class Admission:
 async def _equip(mark: str, threads: int, variant: str, dask_worker: Any = None) -> None:
     """On a worker: threads of Mitsuba, which its next task begins with, of BLAS, and the mark."""
     await asyncio.get_running_loop().run_in_executor(None, _limit_blas)
-    threads = take_share(threads)
+    threads = most_threads(threads)
+    if dask_worker.nanny is not None:  # else the process is not the worker's alone
+        take_share(threads)
     if variant.startswith("llvm"):
         use_threads(threads)
     if dask_worker.state.total_resources.get(mark) != 1:

@@ -54,10 +54,15 @@ def thread_count() -> int:
     return min([usable_cores() if not given else check_threads(given, THREADS), *_share])
 
 
-def take_share(count: int) -> int:
-    """From now on this process has so many threads at most; `thread_count` after that."""
+def take_share(count: int) -> None:
+    """From now on, as long as this process lives, `thread_count` is that at most."""
     _share[:] = [count]
-    return thread_count()
+
+
+def most_threads(count: int) -> int:
+    """So many, or what ``SLEPIAN_PRT_THREADS`` says where that is less."""
+    given = os.environ.get(THREADS)
+    return min(count, check_threads(given, THREADS)) if given else count
 
 
 def check_threads(count: Any, name: str = "threads") -> int:
