@@ -62,6 +62,7 @@ def decode_all(packed: CompressedTransfer) -> tuple[CapCoefficients, ...]:
     UserError
         What was loaded does not fit together.
     """
+
     def make() -> tuple[CapCoefficients, ...]:
         each = np.array([basis.count for basis in packed.bases]) * packed.channels
         size = 4 * int(packed.clusters.sizes @ each)

@@ -157,4 +157,3 @@ def _lines(path: Path) -> list[bytes]:
         return [line for line in path.read_bytes().splitlines() if len(line) <= _LONGEST_LINE]
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error}); remove it") from None
-
