@@ -168,7 +168,8 @@ def _try_journal(folder: Path, seeds: Path, random: Random) -> None:
         os.environ["SLEPIAN_PRT_CACHE"] = str(folder / "other")
         _expected.update(_arrays(_job()))
     _copied(seeds / "cache", folder / "cache")
-    journals.damage(folder / "cache", random)
+    (blocks,) = (folder / "cache").glob("*.blocks")
+    journals.damage(blocks, random)
     os.environ["SLEPIAN_PRT_CACHE"] = str(folder / "cache")
     assert _arrays(_job()) == _expected
 
@@ -178,5 +179,5 @@ KINDS = {
     "meshes": Kind(meshes.write_seeds, _try_mesh),
     "maps": Kind(lambda folder: _write(maps.seeds(), folder), _try_map),
     "journals": Kind(_prepare_journals, _try_journal),
-    "scenes": Kind(scenes.write_seeds, _try_scene),
+    "scenes": Kind(lambda folder: _write(scenes.seeds(), folder), _try_scene),
 }
