@@ -9,10 +9,13 @@ and ``about``, which is all else as JSON.
 from __future__ import annotations
 
 import json
+import struct
 import zipfile
 import zlib
 from dataclasses import astuple
+from functools import partial
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -29,13 +32,14 @@ from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
-from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.archive_members import members_of, open_archive, read_array, read_text
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.transfer import Transfer
+from slepian_prt.transport.transfer_about import FORMAT, NAMES, VERSION, Shapes, begin_of, read_about
 from slepian_prt.transport.transport_text import read_transport
 
-FORMAT = "slepian_prt uncompressed transfer"
-VERSION = 1
+# What is told of transfer is no longer in bytes, and only so many times longer than it is packed, but for short ones.
+_LONGEST, _SHORT, _RATIO = 1 << 28, 1 << 22, 32
 
 _PLAIN = ("bandlimit", "samples", "seed", "bounces", "rays_traced", "seconds", "source", "toward_view")
 _FIXED = ("emitted", "direct", "bounced", "directions")
@@ -119,39 +123,47 @@ def load_transfer(path: str | Path, mesh: str | Path | Mesh | None = None) -> Tr
         raise UserError(f"{path}: holds its mesh; leave out mesh, which is for transport.txt of GAMES202")
     check_readable(path)
     try:
-        with path.open("rb") as file:
-            arrays = np.load(file, allow_pickle=False)  # an array if it is an .npy file
-            about = json.loads(str(arrays["about"])) if "about" in getattr(arrays, "files", ()) else {}
-            if about.get("format") != FORMAT:
-                raise UserError(f"{path}: is no file of Transfer.save; sp.load reads .prt files, sp.precompute traces")
-            if about["version"] != VERSION:
-                raise UserError(f"{path}: has format version {about['version']}, this program reads {VERSION}")
-            return _transfer(about, {name: arrays[name] for name in arrays.files})
+        if not zipfile.is_zipfile(path):
+            raise UserError(f"{path}: is no file of Transfer.save; sp.load reads .prt files, sp.precompute traces")
+        with open_archive(path) as archive:
+            return _transfer(*_read(archive, path))
     except UserError:
         raise
-    except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, AttributeError, EOFError) as error:
-        reason = " ".join(str(error).split()).strip("'\"") or type(error).__name__
+    except (zipfile.BadZipFile, zlib.error, struct.error, RuntimeError, KeyError, ValueError, EOFError) as error:
+        reason = shorten(" ".join(str(error).split()).strip("'\""), 200) or type(error).__name__
         raise UserError(f"{path}: is no file of Transfer.save, or is cut short or damaged ({reason})") from None
+    except MemoryError:
+        raise UserError(f"{path}: needs more memory than there is; trace fewer vertices or a lower bandlimit") from None
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
+def _read(archive: zipfile.ZipFile, path: Path) -> tuple[dict[str, Any], dict[str, NDArray]]:
+    """What is told of transfer, and its arrays: no more is read than these sizes allow."""
+    members = members_of(archive)
+    if "about.npy" not in members:
+        raise UserError(f"{path}: is no file of Transfer.save; sp.load reads .prt files, sp.precompute traces")
+    text = read_text(archive, members["about.npy"], min(_LONGEST, _SHORT + _RATIO * members["about.npy"].compress_size))
+    form, version = begin_of(text)
+    if form != FORMAT:
+        raise UserError(f"{path}: is no file of Transfer.save; sp.load reads .prt files, sp.precompute traces")
+    if version != VERSION:
+        raise UserError(f"{path}: has format version {shorten(str(version), 20)}, this program reads {VERSION}")
+    about = read_about(text)
+    shapes, arrays = Shapes(about), {}
+    for name in NAMES:
+        if f"{name}.npy" in members:
+            arrays[name] = read_array(archive, members[f"{name}.npy"], partial(shapes.expect, name))
+            shapes.accept(name, arrays[name])
+    return about, arrays
+
+
 def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
-    vectors, count = arrays["vectors"], len(arrays["positions"])
-    size = num_coefficients(about["bandlimit"])
-    if vectors.shape not in ((count, 1, size), (count, 3, size)):
-        raise ValueError(f"vectors of shape {vectors.shape} for {count} vertices and bandlimit {about['bandlimit']}")
-    for name in {"axes", "normals", "albedo"} & set(arrays):
-        if arrays[name].shape != (count, 3):
-            raise ValueError(f"{name} of shape {arrays[name].shape} for {count} vertices")
-    faces = arrays["faces"]
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= count:
-        raise ValueError("faces of vertices that do not exist")
     mesh = Mesh(
         about["name"],
         arrays["positions"],
         arrays["normals"],
-        faces,
+        arrays["faces"],
         arrays["albedo"],
         tuple(about["notes"]),
         about["known_albedo"],
@@ -159,37 +171,31 @@ def _transfer(about: dict[str, Any], arrays: dict[str, NDArray]) -> Transfer:
     )
     light = about["environment"]
     return Transfer(
-        vectors=vectors,
+        vectors=arrays["vectors"],
         axes=arrays.get("axes", mesh.normals),
         mesh=mesh,
         parts=tuple(Part(*part) for part in about["parts"]),
         effects=tuple(Effect(**effect) for effect in about["effects"]),
         environment=None if light is None else _light(light["name"], light["clamped"], arrays),
         view=None if about["view"] is None else View(**about["view"]),
-        fixed=_fixed(about["fixed"], arrays, count) if "fixed" in about else None,
-        film=_film(about["film"], arrays, count) if "film" in about else None,
-        parameters=dict(about.get("parameters", {})),
+        fixed=_fixed(about["fixed"], arrays) if "fixed" in about else None,
+        film=_film(about["film"], arrays) if "film" in about else None,
+        parameters=about.get("parameters", {}),
         noise=about.get("noise"),
         **{name: about[name] for name in _PLAIN},
     )
 
 
-def _fixed(lamps: dict[str, Any], arrays: dict[str, NDArray], count: int) -> FixedLights:
+def _fixed(lamps: dict[str, Any], arrays: dict[str, NDArray]) -> FixedLights:
     """Light of lamps."""
     emitted, direct, bounced, directions = (arrays[f"fixed_{name}"] for name in _FIXED)
-    number = len(lamps["names"])
-    if direct.shape != (number, count, 3) or bounced.shape != direct.shape:
-        raise ValueError(f"light of {number} lamps of shape {direct.shape} for {count} vertices")
     return FixedLights(tuple(lamps["names"]), tuple(lamps["kinds"]), emitted, direct, bounced, directions)
 
 
-def _film(about: dict[str, Any], arrays: dict[str, NDArray], count: int) -> Film:
+def _film(about: dict[str, Any], arrays: dict[str, NDArray]) -> Film:
     """Pixels of a camera."""
     known: dict[str, Any] = {name: arrays[f"film_{name}"] for name in _FILM}
-    film = Film(**{**about, "crop": tuple(about["crop"]), "size": tuple(about["size"])}, **known)
-    if film.width * film.height != count or film.background.shape != (count, 3) or film.noise.shape != (count,):
-        raise ValueError(f"a film of {film.width} x {film.height} pixels for {count} receivers")
-    return film
+    return Film(**{**about, "crop": tuple(about["crop"]), "size": tuple(about["size"])}, **known)
 
 
 # --- The scene's own light -------------------------------------------------------------------------------------------

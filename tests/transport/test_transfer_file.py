@@ -93,7 +93,7 @@ def test_the_lamps_of_a_scene(tmp_path):
     with np.load(tmp_path / "kept.npz") as file:
         arrays = dict(file)
     np.savez(tmp_path / "less.npz", **{**arrays, "fixed_direct": arrays["fixed_direct"][:1]})
-    with pytest.raises(sp.UserError, match="light of 2 lamps"):
+    with pytest.raises(sp.UserError, match="fixed_direct of shape"):
         sp.load_transfer(tmp_path / "less.npz")
 
 

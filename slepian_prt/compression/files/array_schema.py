@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from slepian_prt.compression.files import array_values as values
 from slepian_prt.compression.files.known import Known
 from slepian_prt.compression.files.manifest import LARGEST_NUMBER
-from slepian_prt.compression.files.members import Misfit
+from slepian_prt.transport.archive_members import Misfit
 
 # The most that sizes may be which nothing tells.
 _FREE = {"nodes": 1 << 10, "classes": 256}

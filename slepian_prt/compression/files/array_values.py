@@ -125,7 +125,7 @@ def check_terms(known: Known, array: NDArray) -> None:
     caps, size, channels = known.sizes["C"], known.sizes["M"], known.manifest["channels"]
     if len(array) not in (1, caps):
         raise ValueError(f"shape {array.shape}")
-    if array.max() > size:
+    if not 1 <= array.max() <= size:
         raise ValueError(f"{array.max()} functions of {size}")
     terms = np.broadcast_to(array.astype(np.int64), caps)
     low, high = int(terms.min()), int(terms.max())

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from slepian_prt.compression.files.array_schema import ARRAYS, ArrayRow
 from slepian_prt.compression.files.known import Known, known_of
 from slepian_prt.compression.files.manifest import FORMAT, VERSION, begin_of, read_manifest
-from slepian_prt.compression.files.members import Misfit, members_of, open_archive, read_array, read_member
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_readable
+from slepian_prt.transport.archive_members import Misfit, members_of, open_archive, read_array, read_member
 
 # A manifest is no longer, and only so many times longer than it is packed, but for short ones.
 _LARGEST_MANIFEST, _SMALL_MANIFEST, _RATIO = 1 << 26, 1 << 20, 32
@@ -154,7 +154,8 @@ class Contents:
         except UserError:  # which is a ValueError: said already
             raise
         except Misfit as error:
-            raise UserError(f"{self.path}: its contents do not fit together ({error}); precompute it again") from None
+            reason = shorten(str(error), 200)
+            raise UserError(f"{self.path}: its contents do not fit together ({reason}); precompute it again") from None
         # RuntimeError of members that a flipped bit makes encrypted, NotImplementedError of versions to come.
         except (zipfile.BadZipFile, zlib.error, RuntimeError, EOFError, struct.error, KeyError, ValueError) as error:
             told = error.args[0] if isinstance(error, KeyError) and error.args else error

@@ -73,7 +73,7 @@ class PixelMeans:
             np.memmap(file, kind, "r+", int(begin), shape)
             for kind, begin, shape in zip(kinds, begins, shapes, strict=False)
         ]
-        # Of both copies of a block: its passes, the checksum of its numbers, and that of both and the number of the block.
+        # Of both copies of a block: its passes, the checksum of its numbers, and that of these and the block's own.
         self._heads, self._vectors, self._squares, self._others = tables
         self._done = np.array([self._find(block) for block in range(self.blocks)], dtype=np.int64)
         lost = int(np.sum((self._done == 0) & self._heads.any(axis=(0, 2))))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import ast
+import io
 import math
 import os
 import re
@@ -13,6 +14,7 @@ import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import shorten
 from typing import IO, Any
 
 import numpy as np
@@ -30,7 +32,7 @@ _LOCATOR_SIZE, _LONGEST_COMMENT = 20, 1 << 16
 # Headers of arrays: of version 1.0 without any padding they are far shorter.
 _MAGIC = b"\x93NUMPY\x01\x00"
 _LONGEST_HEADER = 1 << 10
-_TYPE = re.compile("[<|][iuf][1248]")
+_TYPE, _TEXT = re.compile("[<|][iufb][1248]"), re.compile(r"<U\d{1,9}")
 
 # What takes less memory is read without asking how much there is.
 _SMALL = 1 << 24
@@ -123,21 +125,39 @@ def read_array(
     """
     _check_packing(member)
     with archive.open(member) as file:
-        dtype, shape, begin = _read_header(file)
+        descr, shape, is_turned, begin = _read_header(file)
+        if not _TYPE.fullmatch(descr):
+            raise ValueError(f"{member.filename} of type {shorten(descr, 20)}")
+        dtype = np.dtype(descr)
         expect(dtype, shape)
         size = dtype.itemsize * math.prod(shape)
         if begin + size != member.file_size:
             raise ValueError(f"{member.filename} of {member.file_size} bytes where {begin + size} are told of")
         if size > _SMALL:
-            check_memory(size, archive.filename or "the file", "precompute it again with fewer vertices or caps")
-        array = np.empty(shape, dtype)
+            check_memory(size, archive.filename or "the file", "make it again with fewer vertices")
+        array = np.empty(shape[::-1] if is_turned else shape, dtype)
         done = file.readinto(memoryview(array.reshape(-1).view(np.uint8)))  # type: ignore[attr-defined]
         _check_end(file, member, begin + done)
-    return array
+    return array.T if is_turned else array
 
 
-def _read_header(file: IO[bytes]) -> tuple[np.dtype[Any], tuple[int, ...], int]:
-    """Type, shape, and where the numbers begin."""
+def read_text(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int) -> str:
+    """The text that a member holds as an array without axes; it has so many bytes at most.
+
+    Raises
+    ------
+    ValueError
+        It holds something else, or more.
+    """
+    content = read_member(archive, member, most)
+    descr, shape, _, begin = _read_header(io.BytesIO(content))
+    if not _TEXT.fullmatch(descr) or shape or len(content) - begin != 4 * int(descr[2:]):
+        raise ValueError(f"{member.filename} is no text")
+    return content[begin:].decode("utf-32-le").rstrip("\0")
+
+
+def _read_header(file: IO[bytes]) -> tuple[str, tuple[int, ...], bool, int]:
+    """Type, shape, whether the first axis varies first, and where the numbers begin."""
     begin = file.read(len(_MAGIC) + 2)
     if len(begin) != len(_MAGIC) + 2 or not begin.startswith(_MAGIC):
         raise ValueError("no array of version 1.0")
@@ -149,11 +169,11 @@ def _read_header(file: IO[bytes]) -> tuple[np.dtype[Any], tuple[int, ...], int]:
         found = header["descr"], header["fortran_order"], header["shape"]
     except (SyntaxError, RecursionError, MemoryError, KeyError, TypeError):
         raise ValueError("header of an array") from None
-    dtype, fortran_order, shape = found
+    descr, is_turned, shape = found
     plain = isinstance(shape, tuple) and len(shape) <= 4 and all(type(n) is int and 0 <= n < 1 << 40 for n in shape)
-    if not plain or fortran_order is not False or not isinstance(dtype, str) or not _TYPE.fullmatch(dtype):
+    if not plain or not isinstance(is_turned, bool) or not isinstance(descr, str):
         raise ValueError("header of an array")
-    return np.dtype(dtype), shape, len(begin) + length
+    return descr, shape, is_turned, len(begin) + length
 
 
 def _check_packing(member: zipfile.ZipInfo) -> None:

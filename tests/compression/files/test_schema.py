@@ -1,0 +1,270 @@
+"""What files hold is checked in one place: whatever does not fit is one UserError, and takes no memory or time."""
+
+import contextlib
+import copy
+import io
+import math
+import random
+import time
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from slepian_prt.compression.codec import lanes
+from slepian_prt.compression.files.array_schema import ARRAYS
+from slepian_prt.compression.files.manifest import LARGEST_BANDLIMIT
+from slepian_prt.compression.files.prt_file import load
+from slepian_prt.compression.stream import compress
+from slepian_prt.errors import UserError
+from slepian_prt.machine.memory import memory_limited
+from slepian_prt.relighting.relight import relight
+from slepian_prt.transport import settings
+from slepian_prt.transport.transfer import precompute
+from tests.conftest import bumpy
+from tests.fuzzing.prt_files import mutate, npy, pack, unpack
+from tests.numerics import assert_exact
+
+KINDS = {
+    "coded": {"tolerance": 0.005, "clusters": 6},
+    "axes": {"basis": "cpca", "terms": 5, "clusters": 5, "coding": "coded"},
+    "float32": {"basis": "transport", "terms": 6, "clusters": 6, "coding": "float32"},
+    "float16": {"basis": "adapted", "terms": 6, "clusters": 6, "coding": "float16"},
+    "none": {"basis": "none"},
+    "classes": {"tolerance": 0.1, "clusters": 6, "group_by": "bent", "occlusion_classes": 2},
+    "exact": {"tolerance": 0.05, "clusters": 4, "exact_mesh": True},
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The content of a file of each kind."""
+    transfer, found = precompute(bumpy(2), 5, 64), {}
+    for name, options in KINDS.items():
+        path = tmp_path_factory.mktemp("schema") / f"{name}.prt"
+        compress(transfer, **options).save(path, keep_order=True)
+        found[name] = path.read_bytes()
+    return found
+
+
+def refused(content: bytes, path, match: str | None = None) -> None:
+    """Reading it, or what is in it, is one line of ours."""
+    path.write_bytes(content)
+    with pytest.raises(UserError, match=match) as told:
+        used(path)
+    assert "\n" not in str(told.value)
+
+
+def used(path) -> None:
+    packed = load(path)
+    relight(packed, np.ones((3, (packed.bandlimit + 1) ** 2)))
+
+
+def test_the_schema_and_the_settings_allow_the_same_bandlimits():
+    assert LARGEST_BANDLIMIT == settings.LARGEST_BANDLIMIT
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_another_bandlimit_or_number_of_channels_does_not_fit(kind, files, tmp_path):
+    manifest, arrays = unpack(files[kind])
+    for change in ({"bandlimit": 4}, {"bandlimit": 6}, {"channels": 3}):
+        refused(pack(manifest | change, arrays), tmp_path / "a.prt", "do not fit together")
+    fewer = {name: manifest[name][:-1] for name in ("expected_lost", "expected_total")}
+    refused(pack(manifest | {"bandlimit": 4} | fewer, arrays), tmp_path / "a.prt", "do not fit together")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_arrays_that_are_missing_or_of_another_type_or_shape(kind, files, tmp_path):
+    manifest, arrays = unpack(files[kind])
+    rows = {row.name for row in ARRAYS}
+    assert set(arrays) <= rows
+    optional = {"mesh/order", "mean/zonal", "mesh/normal_ways", "clusters/kinds", "mesh/normals", "basis/mean"}
+    for name, array in arrays.items():
+        others = [array.astype(np.float64 if array.dtype != np.float64 else np.int64), array[None], array[..., :-1]]
+        if array.shape[0] > 1 or array.ndim == 1:
+            others.append(array[:-1])
+        if name not in ("caps/terms", "mesh/draco"):
+            others.append(np.zeros((*array.shape[:-1], array.shape[-1] + 1), array.dtype))
+        for other in others:
+            refused(pack(manifest, {**arrays, name: other}), tmp_path / "a.prt", "do not fit together")
+        if name not in optional and not name.startswith(("basis/", "radial/")):
+            less = {key: value for key, value in arrays.items() if key != name}
+            refused(pack({**manifest, "arrays": list(less)}, less), tmp_path / "a.prt")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e30])
+def test_floats_that_are_not_finite_or_out_of_range(value, files, tmp_path):
+    seen = set()
+    for content in files.values():
+        manifest, arrays = unpack(content)
+        for name, array in arrays.items():
+            if array.dtype.kind == "f" and name not in seen:
+                with np.errstate(over="ignore"):
+                    refused(pack(manifest, {**arrays, name: np.full_like(array, value)}), tmp_path / "a.prt", name)
+                seen.add(name)
+    assert len(seen) >= 6
+
+
+def places(value, path=()):
+    """Where all values of a manifest are."""
+    yield path
+    if isinstance(value, dict | list):
+        for key in value if isinstance(value, dict) else range(min(len(value), 2)):
+            yield from places(value[key], (*path, key))
+
+
+def test_no_value_of_a_manifest_can_be_anything(files, tmp_path):
+    """Of another type, missing, negative, huge, not finite: refused, or read as it stands."""
+    manifest, arrays = unpack(files["coded"])
+    path, free = tmp_path / "a.prt", 0
+    for place in list(places(manifest))[1:]:
+        for value in (None, "x", -1, 2**63, 1e300, math.nan, [], {}, [[]]):
+            spoilt = copy.deepcopy(manifest)
+            holder = spoilt
+            for key in place[:-1]:
+                holder = holder[key]
+            holder[place[-1]] = value
+            path.write_bytes(pack(spoilt, arrays))
+            with contextlib.suppress(UserError):
+                load(path)
+                free += 1
+    assert free < 250  # text, seconds and the like
+
+
+@pytest.mark.parametrize("name", ["bandlimit", "caps", "coding", "parts", "mesh", "expected_lost", "name", "effects"])
+def test_keys_that_are_missing(name, files, tmp_path):
+    manifest, arrays = unpack(files["coded"])
+    del manifest[name]
+    refused(pack(manifest, arrays), tmp_path / "a.prt", name)
+
+
+def test_json_that_is_deep_long_or_none(files, tmp_path):
+    manifest, arrays = unpack(files["coded"])
+    text = pack(manifest, {})
+    with zipfile.ZipFile(io.BytesIO(text)) as archive:
+        good = archive.read("manifest.json")
+    for spoilt in (
+        b"[" * 300_000,
+        good[:-1] + b', "more": ' + b'{"a":' * 100_000 + b"1" + b"}" * 100_001,
+        good + b" " * (1 << 27),
+        b"null",
+        b"\xff",
+        good.replace(b'"bumpy"', b'"\\ud800"'),
+    ):
+        refused(pack(spoilt, arrays), tmp_path / "a.prt", "damaged|do not fit")
+
+
+# --- Memory and time -------------------------------------------------------------------------------------------------
+
+
+def peak_of(content: bytes, path) -> int:
+    path.write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(UserError):
+            used(path)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_is_not_expected_is_not_read(files, tmp_path):
+    """Members that inflate to thirty megabytes: in other shapes, behind their end, or beside what is wanted."""
+    manifest, arrays = unpack(files["coded"])
+    used_by = {}
+    path = tmp_path / "a.prt"
+    path.write_bytes(files["coded"])
+    used(path)  # tables that are made once
+    zeros = bytes(3 * 10**7)
+    for name in arrays:
+        other = npy(np.zeros(1, np.uint8)).replace(b"(1,), }        ", b"(30000000,), } ")[:-1] + zeros
+        used_by[name] = peak_of(pack(manifest, {**arrays, name: other}), path)
+    for name in ("coded/words", "mesh/draco"):
+        used_by[f"{name}, longer"] = peak_of(pack(manifest, {**arrays, name: npy(arrays[name]) + zeros}), path)
+    assert max(used_by.values()) < 5 * 10**6, used_by
+
+
+def test_a_member_of_more_than_the_directory_says(files, tmp_path):
+    manifest, arrays = unpack(files["coded"])
+    buffer = io.BytesIO(pack(manifest, {**arrays, "mesh/draco": npy(arrays["mesh/draco"]) + bytes(10**8)}))
+    content, wanted = bytearray(buffer.getvalue()), len(npy(arrays["mesh/draco"]))
+    for mark, place in ((b"PK\3\4", 22), (b"PK\1\2", 24)):
+        at = 0
+        while (at := content.find(mark, at)) >= 0:
+            if b"mesh/draco.npy" in content[at : at + 64]:
+                content[at + place : at + place + 4] = wanted.to_bytes(4, "little")
+            at += 4
+    assert peak_of(bytes(content), tmp_path / "a.prt") < 2 * 10**7
+
+
+def test_directories_that_are_long_and_members_of_the_same_name(files, tmp_path):
+    buffer = io.BytesIO(files["coded"])
+    with zipfile.ZipFile(buffer, "a") as archive:
+        for number in range(20_000):
+            archive.writestr(f"{number:060}", b"")
+    assert peak_of(buffer.getvalue(), tmp_path / "a.prt") < 10**7
+    buffer = io.BytesIO(files["coded"])
+    with zipfile.ZipFile(buffer, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("manifest.json", b"{}")
+    refused(buffer.getvalue(), tmp_path / "a.prt", "two members of the same name")
+
+
+def test_claims_that_no_memory_holds_are_refused_before_it_is_taken(files, tmp_path):
+    """A manifest of ten million times as many vertices as there are, all of it consistent."""
+    manifest, arrays = unpack(files["coded"])
+    count = 10**9
+    manifest["parts"][0][2] = manifest["mesh"]["pieces"][0]["vertices"] = count
+    path = tmp_path / "a.prt"
+    assert peak_of(pack(manifest, arrays), path) < 10**7
+    with pytest.raises(UserError, match="memory"):
+        used(path)
+    path.write_bytes(files["coded"])
+    with memory_limited(10**5), pytest.raises(UserError, match=r"needs about .* GiB of memory"):
+        used(path)
+
+
+def test_draco_is_not_asked_for_other_numbers_of_faces_than_the_manifest_tells(files, tmp_path):
+    manifest, arrays = unpack(files["coded"])
+    draco = arrays["mesh/draco"]
+    for begin in (
+        b"DRACO\2\2\1\1\0\0\0\xa2\1\xff\xff\xff\xff\x0f",
+        b"DRACO\2\2\0",
+        b"PLY",
+        b"DRACO\2\2\1\1\0\0\0\xff\xff\xff\xff\xff",
+    ):
+        spoilt = draco.copy()
+        spoilt[: len(begin)] = np.frombuffer(begin, np.uint8)
+        refused(pack(manifest, {**arrays, "mesh/draco": spoilt}), tmp_path / "a.prt", "mesh/draco")
+
+
+def test_lanes_of_very_different_lengths_are_read_apart(monkeypatch):
+    """The same symbols; and neither memory nor time for steps in which lanes have nothing to do."""
+    rng = np.random.default_rng(3)
+    table = lanes.ModelTable(np.full((1, 2), lanes.WHOLE // 2))
+    counts = np.array([20_000, 3000, 0, 5])
+    drawn = rng.integers(0, 2, counts.sum())
+    caps = [
+        lanes.encode_lanes([lanes.Symbols(counts[c : c + 1], np.zeros_like(own), own)], np.array([number]), table)[0]
+        for c, (own, number) in enumerate(zip(np.split(drawn, np.cumsum(counts)[:-1]), (1, 3000, 2, 1), strict=True))
+    ]
+    started = time.perf_counter()
+    tracemalloc.start()
+    reader = lanes.LaneReader(caps, table)
+    found = reader.read(counts, np.zeros_like(drawn))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    reader.check_end()
+    assert_exact(found, drawn, because="integers")
+    assert peak < 60 * counts.sum() + 3 * 10**6
+    assert time.perf_counter() - started < 60.0
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_whatever_is_done_to_a_file(seed, files, tmp_path):
+    """Read and relit, or one line of ours."""
+    chance = random.Random(seed)
+    path = tmp_path / "a.prt"
+    path.write_bytes(mutate(files[chance.choice(list(files))], chance))
+    with memory_limited(1 << 30), contextlib.suppress(UserError):
+        used(path)
