@@ -87,11 +87,11 @@ def join_near(
     # something far away, and their pairs would not fit into memory.
     some = positions[:: max(1, count // _SAMPLE)]
 
-    def near() -> float:
+    def mean_near() -> float:
         return float(np.mean(tree.query_ball_point(some, tolerance, return_length=True))) if count else 0.0
 
-    if near() * count > max(_MOST_PAIRS, _MOST_NEAR * count):
-        while near() > _FEW_NEAR:
+    if mean_near() * count > max(_MOST_PAIRS, _MOST_NEAR * count):
+        while mean_near() > _FEW_NEAR:
             tolerance /= 4
     pairs = tree.query_pairs(tolerance, output_type="ndarray").astype(np.int64)
     if not len(pairs):

@@ -176,7 +176,7 @@ def test_a_file_larger_than_memory_is_not_read(tmp_path):
     path = tmp_path / "a.obj"
     with path.open("wb") as file:
         file.truncate(1 << 20)  # a sparse file
-    with memory_limited(1 << 20), pytest.raises(UserError, match="needs about .* of memory"):
+    with memory_limited(1 << 20), pytest.raises(UserError, match=r"needs about .* of memory"):
         read_mesh(path)
 
 
