@@ -72,7 +72,7 @@ class _Patient(io.FileIO):
             if error.errno not in _GONE:
                 self.fault = error
             return view.nbytes
-        return written  # type: ignore[return-value]  # None where it would have to wait
+        return written  # None where it would have to wait
 
 
 def _text(raw: io.FileIO, like: TextIO | None) -> TextIO:
