@@ -63,12 +63,14 @@ def _run(mesh: str) -> tuple[float, dict[str, float]]:
     """Seconds of one command in a process of its own, and of its stages."""
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "run.prt"
-        command = ["precompute", mesh, "--max-error", "0.05", "--environment", str(example("sky")), "-o", str(output)]
+        light = data_folder() / "environments" / "studio.exr"
+        named = str(light if light.exists() else example("sky"))
+        command = ["precompute", mesh, "--max-error", "0.05", "--environment", named, "-o", str(output)]
         environment = {**os.environ, "XDG_CACHE_HOME": folder}
         begin = time.perf_counter()
-        subprocess.run(
-            [sys.executable, "-m", "slepian_prt", *command], check=True, capture_output=True, env=environment
-        )
+        done = subprocess.run([sys.executable, "-m", "slepian_prt", *command], capture_output=True, env=environment)
+        if done.returncode not in (0, 2):  # 2 where the light is too sharp for the error asked for
+            sys.exit(done.stderr.decode())
         seconds = time.perf_counter() - begin
         return seconds, sp.load(output).seconds
 

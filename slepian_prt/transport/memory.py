@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _MIB = 1 << 20
 
-# Measured, in processes of their own, at 10,000 to 50,000 vertices and bandlimits 3 to 20 (`docs/guide/machine.md`):
+# Measured, in processes of their own, at 10,000 to 50,000 vertices and bandlimits 3 to 20:
 # Python with Mitsuba and SciPy, a vertex with its mesh and the tracer's tree, one with the weights of those it sees,
 # blocks that are traced, projected and waited for in float32s of their vectors, and paths in flight.
 _BASE = 205 * _MIB
@@ -20,6 +20,8 @@ _VERTEX = 600
 _SEEN = 1500
 _WAITING = 7
 _PATHS = 200 * _MIB
+
+REMEDY = "lower `bandlimit` or give a mesh of fewer vertices"
 
 # Numbers of a block's vectors at most, and the limit from which on blocks are smaller than that.
 NUMBERS_PER_BLOCK = 1 << 22
@@ -59,15 +61,5 @@ def check_transfer_memory(planned: PlannedScene) -> None:
     check_memory(
         estimate_transfer(planned),
         f"transfer of {count} vertices at bandlimit {bandlimit}, held all at once,",
-        "lower `bandlimit`, give a mesh of fewer vertices, or allow more with `max_memory` if others will free it",
-    )
-
-
-def check_tracing_memory(planned: PlannedScene, coefficients: int) -> None:
-    """Raise UserError for work by blocks whose ``coefficients`` (float32) do not fit in the memory that is allowed."""
-    bandlimit, count = planned.settings.bandlimit, len(planned.scene.receivers)
-    check_memory(
-        estimate_tracing(planned) + coefficients,
-        f"compressed transfer of {count} vertices at bandlimit {bandlimit}",
-        "lower `bandlimit`, give a mesh of fewer vertices, or allow more with `max_memory` if others will free it",
+        REMEDY,
     )

@@ -17,7 +17,7 @@ def test_work_that_needs_more_than_is_allowed_is_refused():
     with memory_limited(3 << 30):
         check_memory(3 << 30, "this", "wait")
         with pytest.raises(
-            UserError, match=r"this needs about 3\.5 GiB of memory, 3\.0 GiB are allowed by `max_memory`; wait"
+            UserError, match=r"this needs about 3\.5 GiB of memory, `max_memory` allows 3\.0 GiB; wait"
         ):
             check_memory(7 << 29, "this", "wait")
 
