@@ -12,6 +12,7 @@ from benchmarks.datasets import datasets
 from benchmarks.dimension import dimension
 from benchmarks.files import files
 from benchmarks.gpu import gpu
+from benchmarks.loaded import loaded
 from benchmarks.page_files import page_files
 from benchmarks.page_pictures import page_pictures
 from benchmarks.pages import pages
@@ -47,6 +48,7 @@ BENCHMARKS = {
     "smoothing": smoothing,
     "all_views": all_views,
     "workers": workers,
+    "loaded": loaded,
     "dragons": dragons,
     "scaling": scaling,
 }

@@ -20,6 +20,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import Encoding, WarmStart, encode
 from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer, regroup
 from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_bases, pilot_of
+from slepian_prt.compression.memory import check_coding_memory
 from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
 from slepian_prt.compression.projection import choose_projection, widen
@@ -173,6 +174,7 @@ def learn_from(
 def project_transfer(transfer: Transfer, learned: LearnedBases) -> Projected:
     """Project vectors that are there."""
     projection = choose_projection(learned)
+    check_coding_memory(projection)
     while True:
         store = MemoryStore()
         for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):

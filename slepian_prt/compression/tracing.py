@@ -21,12 +21,14 @@ from slepian_prt.compression.checkpoint import Block, Journal, Wanted, journal
 from slepian_prt.compression.encoder import MakeCoder
 from slepian_prt.compression.fingerprint import fingerprint
 from slepian_prt.compression.learning import LearnedBases
+from slepian_prt.compression.memory import check_coding_memory
 from slepian_prt.compression.projection import Projection, choose_projection, widen
 from slepian_prt.lighting.fixed_lights import FixedLights
 from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.transport.estimator import Estimator, TransferBlock
 from slepian_prt.transport.fixed_lights import direct_fixed_lights
 from slepian_prt.transport.interior import InteriorVertices, find_interior
+from slepian_prt.transport.memory import estimate_tracing
 from slepian_prt.transport.planned import PlannedScene
 
 log = logging.getLogger(__name__)
@@ -111,6 +113,7 @@ def trace_and_project(
     """
     rays = source.rays
     projection = choose_projection(learned)
+    check_coding_memory(projection, estimate_tracing(planned))
     while True:
         cut = cut_receivers(source, projection)
         with journal(fingerprint(planned, projection, cut.blocks)) as store:

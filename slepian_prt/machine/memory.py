@@ -92,17 +92,31 @@ def check_memory(need: int, work: str, remedy: str) -> None:
     Parameters
     ----------
     need : int
-        Bytes.
+        Bytes of the whole process, with those that it holds already.
     work : str
         What needs them, as the subject of a sentence.
     remedy : str
         What to change.
     """
-    allowed = allowed_memory()
-    if allowed is not None and need > allowed:
-        left = "are left" if limit_given() is None else "are allowed by `max_memory`"
-        sizes = f"{describe_size(need)} of memory, {describe_size(allowed)} {left}"
-        raise UserError(f"{work} needs about {sizes}; {remedy}")
+    limit = limit_given()
+    left = available_memory() if limit is None else limit
+    if left is None:
+        return
+    allowed = left + held_memory() if limit is None else limit
+    if need > allowed:
+        there = "there are" if limit is None else "`max_memory` allows"
+        raise UserError(
+            f"{work} needs about {describe_size(need)} of memory, {there} {describe_size(allowed)}; {remedy}"
+        )
+
+
+def held_memory(root: Path = Path("/")) -> int:
+    """Bytes of memory that this process holds; 0 where the system does not tell."""
+    with suppress(OSError, ValueError, IndexError):
+        import resource
+
+        return int((root / "proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    return 0
 
 
 def describe_size(size: float) -> str:

@@ -19,12 +19,12 @@ from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.scene.receivers import morton
 from slepian_prt.scene.scene import Scene
 from slepian_prt.sphere.harmonics import num_coefficients
+from slepian_prt.transport.memory import NUMBERS_PER_BLOCK, part_of_blocks
 
 # Blocks that may wait to be finished.
 _BLOCKS_WAITING = 3
 
-# Numbers in the transfer vectors of a block, and receivers if none of them is traced.
-_NUMBERS_PER_BLOCK = 1 << 22
+# Receivers of a block if none of them is traced.
 _UNTRACED_PER_BLOCK = 8192
 
 Item = TypeVar("Item")
@@ -179,8 +179,11 @@ def overlapped(
 
 
 def receivers_per_block(rays: int, most_rays: int, numbers: int) -> int:
-    """How many receivers of ``rays`` rays and ``numbers`` numbers in a transfer vector are traced together."""
-    return max(1, min(most_rays // rays, _NUMBERS_PER_BLOCK // numbers))
+    """How many receivers of ``rays`` rays and ``numbers`` numbers in a transfer vector are traced together.
+
+    Fewer where little memory is allowed.
+    """
+    return max(1, min(most_rays // rays, NUMBERS_PER_BLOCK // numbers) // part_of_blocks())
 
 
 def cut_pieces(

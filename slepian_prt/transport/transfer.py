@@ -28,6 +28,7 @@ from slepian_prt.transport.exchange import add_indirect, exchange_light
 from slepian_prt.transport.fixed_lights import direct_fixed_lights
 from slepian_prt.transport.glossy import merge_equal_channels, toward_camera
 from slepian_prt.transport.interior import find_interior
+from slepian_prt.transport.memory import check_transfer_memory
 from slepian_prt.transport.planned import PlannedScene, plan_scene
 from slepian_prt.transport.settings import TransportSettings
 
@@ -264,6 +265,7 @@ def compute_transfer(
     scene, plan, settings = planned.scene, planned.plan, planned.settings
     receivers, mesh = scene.receivers, scene.mesh
     total = _work(planned)
+    check_transfer_memory(planned)
 
     def report(done: int) -> None:
         advance(done, total)

@@ -20,6 +20,7 @@ from slepian_prt.compression.files.vertex_order import in_source_order
 from slepian_prt.compression.prediction import Expectation
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, read_stored, unpack_order
 from slepian_prt.errors import UserError
+from slepian_prt.machine.kept import Kept
 from slepian_prt.machine.memory import check_memory
 from slepian_prt.scene.film import Film, FilmOutline
 from slepian_prt.scene.mesh import Mesh
@@ -40,8 +41,19 @@ class _Late:
     def __get__(self, transfer: StoredTransfer | None, owner: type) -> Any:
         if transfer is None:
             return self
-        vars(transfer).update(_decoded(transfer._contents))
-        return vars(transfer)[self._name]
+
+        def decode() -> dict[str, Any]:
+            if self._name not in vars(transfer):  # by a thread that was waited for
+                vars(transfer).update(_decoded(transfer._contents))
+            return vars(transfer)
+
+        found = _late.of(transfer, decode)[self._name]
+        _late.forget(transfer)
+        return found
+
+
+# Fields of transfers that some thread decodes now, so that others wait for it.
+_late: Kept[CompressedTransfer, dict[str, Any]] = Kept()
 
 
 class StoredTransfer(CompressedTransfer):
