@@ -66,7 +66,7 @@ def _run(mesh: str) -> tuple[float, dict[str, float]]:
         light = data_folder() / "environments" / "studio.exr"
         named = str(light if light.exists() else example("sky"))
         command = ["precompute", mesh, "--max-error", "0.05", "--environment", named, "-o", str(output)]
-        environment = {**os.environ, "XDG_CACHE_HOME": folder}
+        environment = {**os.environ, "SLEPIAN_PRT_CACHE": folder}
         begin = time.perf_counter()
         done = subprocess.run([sys.executable, "-m", "slepian_prt", *command], capture_output=True, env=environment)
         if done.returncode not in (0, 2):
