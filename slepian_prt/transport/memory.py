@@ -12,13 +12,15 @@ if TYPE_CHECKING:
 
 _MIB = 1 << 20
 
-# Measured, in processes of their own, at 10,000 to 50,000 vertices and bandlimits 3 to 20:
+# Measured, in processes of their own, at 10,000 to 50,000 vertices and bandlimits 3 to 50:
 # Python with Mitsuba and SciPy, a vertex with its mesh and the tracer's tree, one with the weights of those it sees,
-# blocks that are traced, projected and waited for in float32s of their vectors, and paths in flight.
+# blocks that are traced, projected and waited for in float32s of their vectors, tables for each coefficient, and paths
+# in flight.
 _BASE = 205 * _MIB
 _VERTEX = 600
 _SEEN = 1500
 _WAITING = 7
+_TABLES = 3 * _MIB // 20
 _PATHS = 200 * _MIB
 
 REMEDY = "lower `bandlimit` or give a mesh of fewer vertices"
@@ -42,7 +44,7 @@ def estimate_tracing(planned: PlannedScene) -> int:
     count, size = len(planned.scene.receivers), num_coefficients(planned.settings.bandlimit)
     waiting = 4 * _WAITING * min(count * size, NUMBERS_PER_BLOCK) // part_of_blocks()
     paths = 0 if planned.plan.paths is None else _PATHS // part_of_blocks()
-    return _BASE + count * _VERTEX + waiting + paths
+    return _BASE + count * _VERTEX + size * _TABLES + waiting + paths
 
 
 def estimate_transfer(planned: PlannedScene) -> int:

@@ -16,9 +16,7 @@ def test_this_machine_has_some():
 def test_work_that_needs_more_than_is_allowed_is_refused():
     with memory_limited(3 << 30):
         check_memory(3 << 30, "this", "wait")
-        with pytest.raises(
-            UserError, match=r"this needs about 3\.5 GiB of memory, `max_memory` allows 3\.0 GiB; wait"
-        ):
+        with pytest.raises(UserError, match=r"this needs about 3\.5 GiB of memory, `max_memory` allows 3\.0 GiB; wait"):
             check_memory(7 << 29, "this", "wait")
 
 
