@@ -136,7 +136,7 @@ def read_array(
         if size > _SMALL:
             check_memory(size, archive.filename or "the file", "make it again with fewer vertices")
         array = np.empty(shape[::-1] if is_turned else shape, dtype)
-        done = file.readinto(memoryview(array.reshape(-1).view(np.uint8)))  # type: ignore[attr-defined]
+        done = file.readinto(array.reshape(-1).view(np.uint8).data)  # type: ignore[attr-defined]
         _check_end(file, member, begin + done)
     return array.T if is_turned else array
 

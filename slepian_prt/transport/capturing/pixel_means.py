@@ -119,7 +119,7 @@ class PixelMeans:
         """What says that a block has so many passes, from what there is of them."""
         rows, checksum = self._rows(block), 0
         for table in (self._vectors, self._squares, self._others):
-            checksum = zlib.crc32(np.ascontiguousarray(table[(done - 1) % 2, rows]), checksum)
+            checksum = zlib.crc32(np.ascontiguousarray(table[(done - 1) % 2, rows]).data, checksum)
         own = zlib.crc32(struct.pack("<4Q", done, block, self._pixels, self.bandlimit), checksum)
         return np.array([done, checksum, own], dtype=np.uint32)
 
