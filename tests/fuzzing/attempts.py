@@ -11,12 +11,14 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
 import slepian_prt as sp
 from slepian_prt.compression.files.prt_file import content_of
 from slepian_prt.scene.loading import open_scene
+from slepian_prt.transport import direct
 from tests.conftest import bumpy
 from tests.fuzzing import journals, maps, meshes, prt_files, scenes
 
@@ -137,7 +139,8 @@ class _StoppedError(Exception):
 
 
 def _job(report: Callable[[str], None] = lambda _: None) -> sp.CompressedTransfer:
-    return sp.precompute_compressed(bumpy(3), bandlimit=2, samples=16, tolerance=0.1, report=report)
+    with patch.object(direct, "_RAYS_PER_BLOCK", 1 << 12):  # of small blocks there are some
+        return sp.precompute_compressed(bumpy(3), bandlimit=2, samples=16, tolerance=0.1, report=report)
 
 
 def _stop(stage: str) -> None:
