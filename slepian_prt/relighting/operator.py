@@ -55,6 +55,8 @@ class TileGroup:
 
     def multiply(self, lit: NDArray[np.float32], product: NDArray[np.float32]) -> None:
         """Fill its rows of ``product`` (rows, 4); ``lit`` (all functions, 4)."""
+        if not len(self.functions):  # caps that hold no vertex
+            return
         lit = lit.view(np.complex128)[:, 0].take(self.functions).view(np.float32)
         lit = lit.reshape(*self.functions.shape, _COLUMNS)
         result = product[self.rows].reshape(len(lit), -1, _COLUMNS)

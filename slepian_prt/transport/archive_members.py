@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import ast
-import io
 import math
 import os
 import re
@@ -33,6 +32,14 @@ _LOCATOR_SIZE, _LONGEST_COMMENT = 20, 1 << 16
 _MAGIC = b"\x93NUMPY\x01\x00"
 _LONGEST_HEADER = 1 << 10
 _TYPE, _TEXT = re.compile("[<|][iufb][1248]"), re.compile(r"<U\d{1,9}")
+
+# As NumPy writes them, with at most four axes.
+_HEADER = re.compile(
+    r"\{'descr': '([^']{1,12})', 'fortran_order': (False|True), 'shape': \(((?:\d{1,12}(?:, ?|(?=\)))){0,4})\), \}"
+)
+
+# A small array with its header.
+_AT_ONCE = 1 << 12
 
 # What takes less memory is read without asking how much there is.
 _SMALL = 1 << 24
@@ -125,7 +132,8 @@ def read_array(
     """
     _check_packing(member)
     with archive.open(member) as file:
-        descr, shape, is_turned, begin = _read_header(file)
+        start = file.read(min(member.file_size, _AT_ONCE))
+        descr, shape, is_turned, begin = _read_header(start)
         if not _TYPE.fullmatch(descr):
             raise ValueError(f"{member.filename} of type {shorten(descr, 20)}")
         dtype = np.dtype(descr)
@@ -136,8 +144,11 @@ def read_array(
         if size > _SMALL:
             check_memory(size, archive.filename or "the file", "make it again with fewer vertices")
         array = np.empty(shape[::-1] if is_turned else shape, dtype)
-        done = file.readinto(array.reshape(-1).view(np.uint8).data)  # type: ignore[attr-defined]
-        _check_end(file, member, begin + done)
+        octets = array.reshape(-1).view(np.uint8)
+        there = len(start) - begin
+        octets[:there] = np.frombuffer(start, np.uint8, offset=begin)
+        done = file.readinto(octets[there:].data)  # type: ignore[attr-defined]
+        _check_end(file, member, len(start) + done)
     return array.T if is_turned else array
 
 
@@ -150,30 +161,32 @@ def read_text(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int) -> s
         It holds something else, or more.
     """
     content = read_member(archive, member, most)
-    descr, shape, _, begin = _read_header(io.BytesIO(content))
+    descr, shape, _, begin = _read_header(content)
     if not _TEXT.fullmatch(descr) or shape or len(content) - begin != 4 * int(descr[2:]):
         raise ValueError(f"{member.filename} is no text")
     return content[begin:].decode("utf-32-le").rstrip("\0")
 
 
-def _read_header(file: IO[bytes]) -> tuple[str, tuple[int, ...], bool, int]:
+def _read_header(content: bytes) -> tuple[str, tuple[int, ...], bool, int]:
     """Type, shape, whether the first axis varies first, and where the numbers begin."""
-    begin = file.read(len(_MAGIC) + 2)
-    if len(begin) != len(_MAGIC) + 2 or not begin.startswith(_MAGIC):
-        raise ValueError("no array of version 1.0")
-    length = int.from_bytes(begin[-2:], "little")
-    if length > _LONGEST_HEADER:
-        raise ValueError("a header that is too long")
+    length = int.from_bytes(content[len(_MAGIC) : len(_MAGIC) + 2], "little")
+    begin = len(_MAGIC) + 2 + length
+    if not content.startswith(_MAGIC) or length > _LONGEST_HEADER or begin > len(content):
+        raise ValueError("no array of version 1.0, or one with a header that is too long")
+    header = content[len(_MAGIC) + 2 : begin].decode("latin1").strip()
+    usual = _HEADER.fullmatch(header)
+    if usual:  # quicker than what follows
+        descr, order, axes = usual.groups()
+        return descr, tuple(int(n) for n in axes.split(",") if n.strip()), order == "True", begin
     try:
-        header = ast.literal_eval(file.read(length).decode("latin1").strip())
-        found = header["descr"], header["fortran_order"], header["shape"]
+        values = ast.literal_eval(header)
+        descr, is_turned, shape = values["descr"], values["fortran_order"], values["shape"]
     except (SyntaxError, RecursionError, MemoryError, KeyError, TypeError):
         raise ValueError("header of an array") from None
-    descr, is_turned, shape = found
     plain = isinstance(shape, tuple) and len(shape) <= 4 and all(type(n) is int and 0 <= n < 1 << 40 for n in shape)
     if not plain or not isinstance(is_turned, bool) or not isinstance(descr, str):
         raise ValueError("header of an array")
-    return descr, shape, is_turned, len(begin) + length
+    return descr, shape, is_turned, begin
 
 
 def _check_packing(member: zipfile.ZipInfo) -> None:

@@ -170,7 +170,7 @@ def _spoil_arrays(content: bytes, random: random.Random) -> bytes:
 def _other_values(array: NDArray, random: random.Random) -> NDArray:
     """Of the same type and shape."""
     spoilt = array.copy()
-    if not spoilt.size:
+    if not spoilt.size or array.dtype.kind not in "iuf":
         return spoilt
     flat = spoilt.reshape(-1)
     at = [random.randrange(flat.size) for _ in range(random.choice((1, 1, 3, 20)))]

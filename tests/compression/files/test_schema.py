@@ -106,6 +106,17 @@ def test_floats_that_are_not_finite_or_out_of_range(value, files, tmp_path):
     assert len(seen) >= 6
 
 
+def test_caps_that_hold_no_vertex(files, tmp_path):
+    """Whatever other caps of as many functions hold."""
+    manifest, arrays = unpack(files["classes"])
+    arrays = {name: array for name, array in arrays.items() if name not in ("coded/words", "coded/bits", "coded/lanes")}
+    table = np.zeros_like(arrays["coded/caps"])
+    index = np.zeros_like(arrays["clusters/index"])
+    names = {"arrays": list(arrays)}
+    (tmp_path / "a.prt").write_bytes(pack(manifest | names, {**arrays, "coded/caps": table, "clusters/index": index}))
+    used(tmp_path / "a.prt")
+
+
 def places(value, path=()):
     """Where all values of a manifest are."""
     yield path
