@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slepian_prt.errors import UserError, check_real
+from slepian_prt.arrays import real_numbers
+from slepian_prt.errors import UserError
 from slepian_prt.lighting.map_files import file_rows
 from slepian_prt.lighting.map_rows import Checked, Rows, array_rows
 from slepian_prt.machine.memory import check_memory
@@ -58,8 +59,10 @@ class Environment(Summarised):
 
 def about_up(degrees: float) -> NDArray[np.float64]:
     """Rotation matrix about y by an angle in degrees, counter-clockwise seen from above."""
-    degrees = check_real(degrees, "rotation", "degrees", math.isfinite)
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    angle = real_numbers(degrees, "rotation")
+    if angle.ndim or not math.isfinite(angle):
+        raise UserError(f"rotation must be a finite number of degrees, not {degrees!r}")
+    c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
