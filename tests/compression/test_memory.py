@@ -2,6 +2,7 @@
 
 import logging
 
+import numpy as np
 import pytest
 
 import slepian_prt as sp
@@ -65,3 +66,20 @@ def test_vectors_that_are_there_are_looked_at_before_they_are_compressed(monkeyp
     monkeypatch.setattr("slepian_prt.compression.stream.as_stored", refuse_to_trace)
     with memory_limited(held_memory() // 2), pytest.raises(UserError, match="compressing 3 vertices at bandlimit 2"):
         sp.compress(transfer)
+
+
+def test_many_lights_at_once_are_refused_where_their_radiance_does_not_fit(monkeypatch):
+    mesh = sp.make_mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    transfer = sp.precompute(mesh, 1, 16)
+    monkeypatch.setattr("slepian_prt.relighting.relight._LARGE", 3 * 4 * 3 * 5)
+    monkeypatch.setattr("slepian_prt.relighting.relight._apply_vectors", refuse_to_trace)
+    told = "relighting 3 receivers under 5 lights at once needs about .*; relight under fewer at a time"
+    with memory_limited(held_memory() // 2), pytest.raises(UserError, match=told):
+        sp.relight(transfer, np.ones((5, 3, 4)))
+
+
+def test_a_capture_that_does_not_fit_is_refused_before_its_paths(monkeypatch):
+    monkeypatch.setattr("slepian_prt.transport.capturing.capture.add_passes", refuse_to_trace)
+    told = "capturing 230400 pixels at bandlimit 50 needs about .*; lower `bandlimit` or make the film smaller"
+    with memory_limited(2 << 30), pytest.raises(UserError, match=told):
+        sp.capture(example("glossy"), bandlimit=50)
