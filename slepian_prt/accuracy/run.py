@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slepian_prt.accuracy.goal import Goal, Light
+from slepian_prt.accuracy.memory import check_pilot_memory
 from slepian_prt.accuracy.pilot import Pilot
 from slepian_prt.accuracy.search import Choose, Refuse, decide
 from slepian_prt.accuracy.table import Table
@@ -102,6 +103,7 @@ def precompute_within(
     started = time.perf_counter() if started is None else started
     with plan_scene(scene, transport) as here, by_workers(here, None if here.by_blocks else crew, scene) as planned:
         light = _resolve(light, planned)
+        check_pilot_memory(planned, goal)
         report("reference of the pilot")
         size = tuning.large_pilot_vertices if (goal.error or 1.0) <= tuning.small_error else tuning.pilot_vertices
         drawn = draw_vertices(planned, transport.seed, size)

@@ -20,7 +20,7 @@ from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.compression.encoder import Encoding, WarmStart, encode
 from slepian_prt.compression.grouping import Grouping, group_scene, group_transfer, regroup
 from slepian_prt.compression.learning import LearnedBases, fit_bases, learn_bases, pilot_of
-from slepian_prt.compression.memory import check_coding_memory
+from slepian_prt.compression.memory import check_coding_memory, check_scene_memory, check_vectors_memory
 from slepian_prt.compression.noise import coded_within_noise
 from slepian_prt.compression.principal_components import USUAL_TERMS, iterate_clusters
 from slepian_prt.compression.projection import choose_projection, widen
@@ -32,6 +32,7 @@ from slepian_prt.compression.tracing_by_workers import trace_by_workers
 from slepian_prt.errors import check_transfer
 from slepian_prt.lighting.projection import project_environment
 from slepian_prt.lighting.spectrum import LightPrior
+from slepian_prt.machine.memory import held_memory
 from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.transport.by_workers.scene import by_workers
 from slepian_prt.transport.checks import check_axes, check_vectors
@@ -142,6 +143,7 @@ def compress(
         exact_mesh=exact_mesh,
     )
     settings.check(transfer.bandlimit)
+    check_vectors_memory(transfer, settings)
     settings = coded_within_noise(settings, transfer)
     started = time.perf_counter()
     seen = as_stored(transfer, exact=exact_mesh)
@@ -174,7 +176,7 @@ def learn_from(
 def project_transfer(transfer: Transfer, learned: LearnedBases) -> Projected:
     """Project vectors that are there."""
     projection = choose_projection(learned)
-    check_coding_memory(projection)
+    check_coding_memory(projection, held_memory())
     while True:
         store = MemoryStore()
         for number, begin in enumerate(range(0, len(transfer.vectors), _BLOCK)):
@@ -260,6 +262,7 @@ def compress_scene(
     settings.check(int(transport.bandlimit))
     with plan_scene(scene, transport, on_plan) as planned:
         if not planned.by_blocks or settings.needs_all_vectors:
+            check_scene_memory(planned, settings)
             with by_workers(planned, crew, scene) as shared:
                 transfer = compute_transfer(shared, advance)
             return compress(transfer, report=report, **vars(settings))

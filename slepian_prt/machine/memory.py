@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import sys
@@ -11,6 +12,8 @@ from pathlib import Path
 
 from slepian_prt.errors import UserError
 from slepian_prt.machine.control_groups import folders_of, read_number
+
+log = logging.getLogger(__name__)
 
 _GIB = 1 << 30
 
@@ -22,6 +25,12 @@ MAX_MEMORY = "SLEPIAN_PRT_MAX_MEMORY"
 
 _SIZE = re.compile(r"(?P<number>\d+(\.\d*)?|\.\d+)\s*(?P<unit>[KMGT]?)(i?B)?", re.IGNORECASE)
 _LEAST = 1 << 20
+
+# Part of the memory that is allowed from which on an estimated need is told.
+_CLOSE = 0.8
+
+# Part of an estimate that is needed in any case.
+_SURE = 0.8
 
 
 def available_memory(root: Path = Path("/")) -> int | None:
@@ -98,16 +107,41 @@ def check_memory(need: int, work: str, remedy: str) -> None:
     remedy : str
         What to change.
     """
-    limit = limit_given()
-    left = available_memory() if limit is None else limit
-    if left is None:
+    there = _there()
+    if there is not None and need > there[0]:
+        raise UserError(_told(need, work, *there, remedy))
+
+
+def check_estimate(need: float, work: str, remedy: str, least: float | None = None) -> None:
+    """As `check_memory`, of a need that is estimated: what may fit yet is only told, with a warning.
+
+    Parameters
+    ----------
+    need, work, remedy : as of `check_memory`
+        What needs 80 % of what is allowed is told.
+    least : float, optional
+        Bytes that are needed in any case; by default 80 % of the estimate. Where not even they are allowed the work is
+        refused.
+    """
+    there = _there()
+    if there is None or need <= _CLOSE * there[0]:
         return
-    allowed = left + held_memory() if limit is None else limit
-    if need > allowed:
-        there = "there are" if limit is None else "`max_memory` allows"
-        raise UserError(
-            f"{work} needs about {describe_size(need)} of memory, {there} {describe_size(allowed)}; {remedy}"
-        )
+    if (_SURE * need if least is None else least) > there[0]:
+        raise UserError(_told(need, work, *there, remedy))
+    log.warning("%s", _told(need, work, *there, f"if that is too little, {remedy}"))
+
+
+def _there() -> tuple[int, str] | None:
+    """Bytes that this process may have in all, and what says so; None where nothing does."""
+    limit = limit_given()
+    if limit is not None:
+        return limit, "`max_memory` allows"
+    left = available_memory()
+    return None if left is None else (left + held_memory(), "there are")
+
+
+def _told(need: float, work: str, allowed: int, says: str, remedy: str) -> str:
+    return f"{work} needs about {describe_size(need)} of memory, {says} {describe_size(allowed)}; {remedy}"
 
 
 def held_memory(root: Path = Path("/")) -> int:

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from threading import Lock
+from threading import Lock, local
 from typing import Any, TypeVar
 
 from slepian_prt.errors import UserError
@@ -104,6 +104,11 @@ def map_in_threads(
         Of threads, where each takes much memory.
     """
     count = thread_count() if most is None else min(thread_count(), most)
+
+    def work(item: Item) -> Result:
+        with one_blas_thread():  # also those libraries that have a number for each thread
+            return function(item)
+
     with one_blas_thread():
         if count == 1:
             yield from map(function, items)
@@ -112,7 +117,7 @@ def map_in_threads(
             pending: deque[Future[Result]] = deque()
             try:
                 for item in items:
-                    pending.append(pool.submit(function, item))
+                    pending.append(pool.submit(work, item))
                     if len(pending) > 2 * count:
                         yield pending.popleft().result()
                 while pending:
@@ -133,42 +138,67 @@ def start_with_one_blas_thread() -> None:
     os.environ.update(dict.fromkeys(_BLAS_VARIABLES, "1"))
 
 
+class _Counts:
+    """Who needs one thread, and what libraries had before, by their files."""
+
+    def __init__(self) -> None:
+        self.users = 0
+        self.before: dict[str, int] = {}
+
+    def leave(self, libraries: Iterable[Any]) -> None:
+        """Set back what the libraries had if nobody needs one thread any more."""
+        self.users = max(0, self.users - 1)
+        if self.users > 0:
+            return
+        for library in libraries:
+            # What somebody has set meanwhile stays.
+            if library.filepath in self.before and library.get_num_threads() == 1:
+                _set_threads(library, self.before[library.filepath])
+        self.before.clear()
+
+
+class _CountsOfThread(local, _Counts):
+    """Those of the thread that asks."""
+
+
 class _OneThread:
     """Libraries of BLAS with one thread each while anybody needs it, and as they were after the last has left.
 
     `threadpoolctl.threadpool_limits` sets back what each block has found, so that of two threads whose blocks overlap
-    one takes the limit from the other, and the last leaves it behind.
+    one takes the limit from the other, and the last leaves it behind. (So does one of the user's own that begins in
+    another thread while a block of ours goes on, and ends after it: it sets back our one. Nothing can be done here.)
+    An OpenBLAS built with OpenMP has a number for each thread that calls it: there each has its own limit.
     """
 
     def __init__(self) -> None:
         self._libraries: list[Any] = []
         self._modules = -1
-        self.forget_users()
-
-    def forget_users(self) -> None:
-        """In a forked process, where nobody else is left."""
         self._lock = Lock()
-        self._users = 0
-        self._before: dict[str, int] = {}
+        self._all, self._own = _Counts(), _CountsOfThread()
+
+    def forget_others(self) -> None:
+        """In a forked process, where the thread that forked is left alone.
+
+        What the libraries had is known still, and set back after the next block: their own threads are best not
+        started while a process is being forked.
+        """
+        self._lock = Lock()
+        self._all.users = self._own.users
 
     def __enter__(self) -> None:
         with self._lock:
             # Importing SciPy loads a BLAS of its own, also within a block.
             if self._modules != len(sys.modules):
                 self._find()
-                self._limit()
-            elif self._users == 0:
-                self._limit()
-            self._users += 1
+            self._all.users += 1
+            self._own.users += 1
+            for library in self._libraries:
+                self._limit(library)
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
-            self._users -= 1
-            if self._users == 0:
-                for library in self._libraries:
-                    if library.filepath in self._before:
-                        library.set_num_threads(self._before[library.filepath])
-                self._before.clear()
+            for counts, libraries in ((self._all, self._shared()), (self._own, self._separate())):
+                counts.leave(libraries)
 
     def _find(self) -> None:
         """The libraries that are loaded; it takes a quarter of a millisecond, as long as to relight a small model."""
@@ -177,17 +207,37 @@ class _OneThread:
         self._libraries = [found for found in ThreadpoolController().lib_controllers if found.user_api == "blas"]
         self._modules = len(sys.modules)
 
-    def _limit(self) -> None:
-        for library in self._libraries:
-            threads = library.get_num_threads()
-            if threads is not None and threads > 1:
-                self._before.setdefault(library.filepath, threads)
-                library.set_num_threads(1)
+    def _limit(self, library: Any) -> None:
+        """Also where others are in a block: what is set within it, as other blocks end, would count for them."""
+        threads = library.get_num_threads()
+        if threads is not None and threads > 1:
+            counts = self._own if _counts_each_thread(library) else self._all
+            counts.before.setdefault(library.filepath, threads)
+            _set_threads(library, 1)
+
+    def _shared(self) -> list[Any]:
+        return [library for library in self._libraries if not _counts_each_thread(library)]
+
+    def _separate(self) -> list[Any]:
+        return [library for library in self._libraries if _counts_each_thread(library)]
+
+
+def _counts_each_thread(library: Any) -> bool:
+    return library.internal_api == "openblas" and library.threading_layer == "openmp"
+
+
+def _set_threads(library: Any, count: int) -> None:
+    """From any thread.
+
+    threadpoolctl 3.8 passes over all but the first thread that sets the number of an OpenBLAS with threads of its own
+    as long as that thread lives, which is mostly the main thread; the library itself heeds all of them.
+    """
+    getattr(library, "_real_set_num_threads", library.set_num_threads)(count)
 
 
 _one_thread = _OneThread()
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=lambda: _one_thread.forget_users())
+    os.register_at_fork(after_in_child=lambda: _one_thread.forget_others())
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from slepian_prt.errors import UserError, check_transfer
 from slepian_prt.lighting.environment import Environment
 from slepian_prt.lighting.fixed_lights import lamp_scales
 from slepian_prt.lighting.projection import lighting_at, project_checked, rotation_matrix
+from slepian_prt.machine.memory import check_estimate, held_memory
 from slepian_prt.machine.threads import one_blas_thread
 from slepian_prt.relighting.operator import transfer_operator
 from slepian_prt.scene.view import up_rotation
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 # Sampling noise, relative to the largest radiance: what is negative by less does not count.
 NOISE = 0.01
+
+# Bytes of radiance from which on it is asked whether they are there: asking takes as long as to relight a small model.
+_LARGE = 1 << 26
 
 
 @one_blas_thread()  # so that bits do not depend on what other threads do meanwhile
@@ -84,6 +88,7 @@ def relight(
         lights = lights + fixed.turned(scales, rotation_matrix(turn_directional), transfer.bandlimit)
         scales = np.where(fixed.can_turn, 0.0, scales)
     several = lights.reshape(-1, *lights.shape[-2:])
+    _check_memory(len(several), len(transfer.mesh.receivers))
     if isinstance(transfer, CompressedTransfer):
         radiance = transfer_operator(transfer).apply(several)
     else:
@@ -125,6 +130,16 @@ def stand_lighting(
     lights = lighting_at(lighting, bandlimit)
     turn = up_rotation(up)
     return lights if up == "y" else rotate_sh(lights, turn)
+
+
+def _check_memory(lights: int, receivers: int) -> None:
+    """Raise UserError for radiance that does not fit in the memory that is allowed; twice of it may be needed."""
+    size = 4 * 3 * lights * receivers
+    if size < _LARGE:
+        return
+    held = held_memory()
+    work = f"relighting {receivers} receivers under {lights} light{'s' if lights > 1 else ''} at once"
+    check_estimate(held + 2 * size, work, "relight under fewer at a time", least=0.8 * held + size)
 
 
 def _apply_vectors(vectors: NDArray[np.float32], lights: NDArray[np.float32]) -> NDArray[np.float32]:

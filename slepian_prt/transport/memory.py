@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from slepian_prt.machine.memory import check_memory, limit_given
+from slepian_prt.machine.memory import check_estimate, limit_given
 from slepian_prt.sphere.harmonics import num_coefficients
 
 if TYPE_CHECKING:
@@ -39,28 +39,32 @@ def part_of_blocks() -> int:
     return part
 
 
-def estimate_tracing(planned: PlannedScene) -> int:
-    """Bytes of a process that traces block after block and holds no vectors."""
-    count, size = len(planned.scene.receivers), num_coefficients(planned.settings.bandlimit)
+def estimate_tracing(planned: PlannedScene, bandlimit: int | None = None) -> int:
+    """Bytes of a process that traces block after block and holds no vectors; of another bandlimit, if given."""
+    count, size = len(planned.scene.receivers), _size(planned, bandlimit)
     waiting = 4 * _WAITING * min(count * size, NUMBERS_PER_BLOCK) // part_of_blocks()
     paths = 0 if planned.plan.paths is None else _PATHS // part_of_blocks()
     return _BASE + count * _VERTEX + size * _TABLES + waiting + paths
 
 
-def estimate_transfer(planned: PlannedScene) -> int:
-    """Bytes of a process that holds all vectors."""
-    count, size, plan = len(planned.scene.receivers), num_coefficients(planned.settings.bandlimit), planned.plan
+def _size(planned: PlannedScene, bandlimit: int | None) -> int:
+    return num_coefficients(planned.settings.bandlimit if bandlimit is None else bandlimit)
+
+
+def estimate_transfer(planned: PlannedScene, bandlimit: int | None = None) -> int:
+    """Bytes of a process that holds all vectors; of another bandlimit, if given."""
+    count, size, plan = len(planned.scene.receivers), _size(planned, bandlimit), planned.plan
     vectors = 4 * count * size
     bounced = plan.interreflection or plan.paths is not None
     channels = 3 if plan.view is not None else plan.channels
     held = vectors * channels + (vectors if bounced and channels == 3 else 0)
-    return estimate_tracing(planned) + held + (count * _SEEN if bounced else 0)
+    return estimate_tracing(planned, bandlimit) + held + (count * _SEEN if bounced else 0)
 
 
 def check_transfer_memory(planned: PlannedScene) -> None:
-    """Raise UserError for vectors that do not fit in the memory that is allowed."""
+    """Raise UserError for vectors that clearly do not fit in the memory that is allowed."""
     bandlimit, count = planned.settings.bandlimit, len(planned.scene.receivers)
-    check_memory(
+    check_estimate(
         estimate_transfer(planned),
         f"transfer of {count} vertices at bandlimit {bandlimit}, held all at once,",
         REMEDY,

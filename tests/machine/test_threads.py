@@ -14,7 +14,7 @@ from slepian_prt.machine.threads import count_given, map_in_threads, one_blas_th
 class Library:
     """One of BLAS, as threadpoolctl has them; the real one may heed the first thread that it was set by alone."""
 
-    filepath, threads = "libblas.so", 3
+    filepath, internal_api, threading_layer, threads = "libblas.so", "openblas", "pthreads", 3
 
     def get_num_threads(self) -> int:
         return self.threads
@@ -94,3 +94,32 @@ def test_results_come_in_order_and_items_are_taken_as_they_are_needed():
 def test_errors_of_threads_are_raised(count):
     with count_given(count), pytest.raises(ZeroDivisionError):
         list(map_in_threads(lambda i: 1 // i, [1, 2, 0, 3]))
+
+
+def test_a_library_with_a_number_for_each_thread_is_limited_in_each(library, monkeypatch):
+    """As an OpenBLAS that is built with OpenMP."""
+    numbers = threading.local()
+    monkeypatch.setattr(library, "threading_layer", "openmp", raising=False)
+    monkeypatch.setattr(library, "get_num_threads", lambda: getattr(numbers, "count", 3), raising=False)
+    monkeypatch.setattr(library, "set_num_threads", lambda count: setattr(numbers, "count", count), raising=False)
+    meet = threading.Barrier(2, timeout=20)
+
+    def within(_: int) -> int:
+        meet.wait()
+        return library.get_num_threads()
+
+    with count_given(2):
+        assert list(map_in_threads(within, range(2))) == [1, 1]
+    assert library.get_num_threads() == 3
+
+
+def test_a_forked_process_has_the_number_of_the_user_again_after_its_first_block(library):
+    with one_blas_thread():
+        pass
+    threads._one_thread._all.users = 4  # of threads that are not there
+    threads._one_thread._all.before["libblas.so"] = 3
+    library.threads = 1
+    threads._one_thread.forget_others()
+    with one_blas_thread():
+        assert library.threads == 1
+    assert library.threads == 3

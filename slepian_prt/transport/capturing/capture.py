@@ -25,6 +25,7 @@ from slepian_prt.transport.capturing.camera import CameraRays, find_camera
 from slepian_prt.transport.capturing.denoising import Pixels, guide_table, smoothed
 from slepian_prt.transport.capturing.guides import Guides, look_at_surfaces
 from slepian_prt.transport.capturing.lamp_pictures import LampPictures, mean_pictures
+from slepian_prt.transport.capturing.memory import check_capture_memory
 from slepian_prt.transport.capturing.passes import (
     Job,
     Tracer,
@@ -136,6 +137,7 @@ def open_capture(
         with silent(mi):
             own, lamps = distant_light(mi, loaded.emitters(), name), lamps_of(mi, loaded, name)
         job = Job(mi, loaded, name, camera, CameraRays(mi, camera), settings, power)
+        check_capture_memory(job.pixels, job.per_block, settings.bandlimit, settings.smooth)
         with silent(mi):
             remark_on_media(mi, loaded, name, job.rays)
         clock.stop("load")
