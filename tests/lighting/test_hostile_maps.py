@@ -24,7 +24,9 @@ def with_window(content: bytes, name: bytes, *corners: int) -> bytes:
 
 
 EXR = maps.seeds()["none.exr"]
+ATTRIBUTES = b"".join(b"a%d\0b\0\0\0\0\0" % k for k in range(10_001))
 BAD = {
+    "many.exr": (EXR[:8] + ATTRIBUTES + EXR[8:], "more than 10000 attributes"),
     "zero.hdr": (HDR + b"-Y 0 +X 0\n", "is 0 x 0 texels"),
     "low.hdr": (HDR + b"-Y 0 +X 16\n", "is 16 x 0 texels"),
     "digits.hdr": (HDR + b"-Y " + b"9" * 5000 + b" +X 16\n", "no line of resolution"),
