@@ -91,6 +91,27 @@ def test_gif_whose_codes_end_early():
             decode_texture(Texture("t", short), is_srgb=True)
 
 
+JPEGS = [{}, {"subsampling": 0}, {"progressive": True}, {"restart_marker_blocks": 2}, {"quality": 30}]
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "CMYK"])
+@pytest.mark.parametrize("how", JPEGS, ids=str)
+def test_jpeg_whose_codes_end_early(how, mode):
+    """Missing codes are decoded as grey. Those of grey pictures are there; what looks like a scan in EXIF is none."""
+    texels = np.random.default_rng(4).integers(0, 256, (32, 64, 3), dtype=np.uint8)
+    thumbnail = Image.Exif()
+    thumbnail[0x010E] = "\x7f\xff\xda\x01\xff\xc0"
+    for array in (texels, np.full_like(texels, 128), np.full_like(texels, 127)):
+        file = io.BytesIO()
+        Image.fromarray(array).convert(mode).save(file, "JPEG", exif=thumbnail, **how)
+        content = file.getvalue()
+        decode_texture(Texture("t", content), is_srgb=True)
+        for part in (0.5, 0.8) if array is texels else ():
+            short = content[: int(part * len(content))].rstrip(b"\xff")
+            with pytest.raises(UserError, match=r"of 32 rows, those from \d+ on are not all there|cannot be read as"):
+                decode_texture(Texture("t", short + b"\xff\xd9"), is_srgb=True)
+
+
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF", "PPM", "TIFF"])
 def test_files_cut_short(kind):
     texels = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)

@@ -1,7 +1,9 @@
-"""Pictures whose pixels are all in the file: Pillow leaves the others black, where data end early but cleanly."""
+"""Pictures whose pixels are all in the file: where data end early but cleanly, Pillow makes the rest black or grey."""
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
@@ -9,8 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Their decoders give whole pictures or fail.
-_ALL_OR_NOTHING = ("JPEG", "MPO", "WEBP")
+# A marker behind the codes of a scan of a JPEG, of which it is no part (ITU-T T.81, B.1.1).
+_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")
+
+# Codes of something; no byte of them begins a marker.
+_CODES = bytes(range(1, 250, 3)) * 4
 
 
 def load_whole(image: Any, reopened: Callable[[], AbstractContextManager[Any]]) -> None:
@@ -27,9 +32,13 @@ def load_whole(image: Any, reopened: Callable[[], AbstractContextManager[Any]]) 
     OSError and others
         Damage that Pillow finds.
     """
+    if image.format in ("JPEG", "MPO"):
+        image.load()
+        _check_scans(image, reopened)
+        return
     boxes = [tile[1] for tile in image.tile]
     image.load()
-    if image.format in _ALL_OR_NOTHING or not boxes:
+    if image.format == "WEBP" or not boxes:  # its decoder gives whole pictures or fails
         return
     left, top = (min(box[k] for box in boxes) for k in (0, 1))
     right, bottom = (max(box[k] for box in boxes) for k in (2, 3))
@@ -43,6 +52,46 @@ def load_whole(image: Any, reopened: Callable[[], AbstractContextManager[Any]]) 
     if missing:
         whole = pixels.shape[0] * pixels.shape[1]
         raise ValueError(f"its data end after {whole - missing} of {whole} texels")
+
+
+def _check_scans(image: Any, reopened: Callable[[], AbstractContextManager[Any]]) -> None:
+    """Raise ValueError for a JPEG with fewer codes than pixels, which are grey then.
+
+    Decoders ignore codes behind the last pixel. If more of them change the picture, some pixels had none. That is
+    looked at if the last pixel is such a grey, so not if just a part of the last block is missing, and where there are
+    several scans, which may miss detail alone.
+    """
+    with reopened() as second:
+        second.fp.seek(0)
+        content = second.fp.read()
+    pixels = _pixels(image)
+    last = pixels[-1, -1].astype(int)
+    longer, scans = _add_codes(content)
+    if scans < 2 and not (np.abs(last - 127.5) < 1.0).all():
+        return
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with JpegImageFile(io.BytesIO(longer)) as more:
+        more.load()
+        differ = np.flatnonzero((_pixels(more) != pixels).any(axis=(1, 2)))
+    if differ.size:
+        raise ValueError(f"its data end early: of {len(pixels)} rows, those from {differ[0]} on are not all there")
+
+
+def _add_codes(content: bytes) -> tuple[bytes, int]:
+    """A JPEG with codes of something at the end of each of its scans, and how many these are."""
+    pieces, begin, at, scans = [], 0, 2, 0
+    while content[at : at + 1] == b"\xff" and content[at : at + 2] != b"\xff\xd9":
+        after = at + 2 + int.from_bytes(content[at + 2 : at + 4], "big")
+        if content[at : at + 2] == b"\xff\xff":  # padding
+            after = at + 1
+        elif content[at : at + 2] == b"\xff\xda":
+            marker = _MARKER.search(content, after)
+            after = len(content) if marker is None else marker.start()
+            pieces += [content[begin:after], _CODES]
+            begin, scans = after, scans + 1
+        at = after
+    return b"".join([*pieces, content[begin:]]), scans
 
 
 def _pixels(image: Any) -> NDArray[Any]:
