@@ -22,7 +22,8 @@ def real_numbers(values: ArrayLike, name: str, *, copy: bool = False) -> NDArray
     try:
         array = np.asarray(values)
         if array.dtype.kind in "biuf":
-            return array.astype(np.float64, copy=copy)
+            with np.errstate(over="ignore"):  # of what only longer floats hold
+                return array.astype(np.float64, copy=copy)
         if array.dtype.kind == "O" and None not in array:  # of integers that no other type holds, or other objects
             return array.astype(np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -144,8 +144,8 @@ def complete_mesh(
 ) -> Mesh:
     """As `make_mesh`."""
     origin = details.origin
-    p = np.atleast_2d(real_numbers(positions, f"{origin}: positions", copy=True))
-    f = np.atleast_2d(whole_numbers(faces, f"{origin}: faces"))
+    p = _of_three(real_numbers(positions, f"{origin}: positions", copy=True), f"{origin}: positions", "(V, 3)")
+    f = _of_three(whole_numbers(faces, f"{origin}: faces"), f"{origin}: faces", "(F, 3), of triangles")
     check_geometry(p, f, origin)
     notes: list[str] = []
     f = _without_degenerate(p, f, notes)
@@ -153,7 +153,7 @@ def complete_mesh(
         raise UserError(f"{origin}: every face has zero area; export the mesh again")
     _remark_on_winding(f, notes)
     given, groups, source = _fitting(normals, p, notes), details.groups, details.source
-    colour = np.broadcast_to(real_numbers(albedo, f"{origin}: albedo").astype(np.float32), (len(p), 3))
+    colour = _of_vertices(albedo, len(p), origin)
     if details.crease_angle < 180.0:
         known = None if given is None else are_normals(given)
         places = np.arange(len(p)) if groups is None else groups
@@ -168,6 +168,29 @@ def complete_mesh(
     known_albedo = bool(np.any(colour != 1.0)) if details.known_albedo is None else details.known_albedo
     more = (tuple(notes), known_albedo, details.not_simulated, source)
     return Mesh(details.name, p, unit, f.astype(np.int32), colour, *more)
+
+
+def _of_three(values: NDArray, name: str, wanted: str) -> NDArray:
+    """An array of rows of three; one row may be given alone, and an empty array has them."""
+    rows = values.reshape(-1, 3) if values.size == 0 else np.atleast_2d(values)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise UserError(f"{name} have the shape {values.shape}; give an array of shape {wanted}")
+    return rows
+
+
+def _of_vertices(albedo: ArrayLike, count: int, origin: str) -> NDArray[np.float32]:
+    """(V, 3) of what can be broadcast to it."""
+    given = real_numbers(albedo, f"{origin}: albedo")
+    try:
+        colour = np.broadcast_to(given, (count, 3))
+    except ValueError:
+        raise UserError(
+            f"{origin}: albedo has the shape {given.shape}, which does not fit {count} vertices; give one number, "
+            "(3,), (V, 1) or (V, 3)"
+        ) from None
+    if not np.all((given >= 0.0) & (given <= np.finfo(np.float32).max)):
+        raise UserError(f"{origin}: albedo is negative, NaN or infinite somewhere; give what is reflected, in [0, 1]")
+    return colour.astype(np.float32)
 
 
 def _source_of_copies(source: NDArray | None, vertices: NDArray[np.int64], count: int) -> NDArray[np.int64] | None:

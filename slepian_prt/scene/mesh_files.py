@@ -16,7 +16,7 @@ from slepian_prt.machine.memory import check_memory
 from slepian_prt.scene.formats.gltf import read_gltf
 from slepian_prt.scene.formats.obj import read_obj
 from slepian_prt.scene.formats.off import read_off
-from slepian_prt.scene.formats.parts import MeshFile, MeshPart
+from slepian_prt.scene.formats.parts import MeshFile, MeshPart, share_textures
 from slepian_prt.scene.formats.ply import read_ply
 from slepian_prt.scene.formats.stl import read_stl
 from slepian_prt.scene.left_out import LeftOut
@@ -82,7 +82,7 @@ def read_parts(path: Path) -> MeshFile:
     if suffix not in _READERS:
         raise UserError(f"{path}: unknown mesh format '{path.suffix}'; convert it to one of {', '.join(MESH_SUFFIXES)}")
     check_memory(_BYTES * size, f"{path}: to read it", "make it smaller, as by fewer triangles")
-    return _READERS[suffix](path)
+    return share_textures(_READERS[suffix](path))
 
 
 def file_albedo(file: MeshFile) -> NDArray[np.float32]:

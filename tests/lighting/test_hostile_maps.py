@@ -10,6 +10,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import read_environment
 from slepian_prt.lighting.formats.sizes import picture_size
 from slepian_prt.lighting.light_text import read_light_text
+from slepian_prt.machine import memory
 from slepian_prt.machine.memory import memory_limited
 from tests.fuzzing import maps
 
@@ -23,7 +24,9 @@ def with_window(content: bytes, name: bytes, *corners: int) -> bytes:
 
 
 EXR = maps.seeds()["none.exr"]
+ATTRIBUTES = b"".join(b"a%d\0b\0\0\0\0\0" % k for k in range(10_001))
 BAD = {
+    "many.exr": (EXR[:8] + ATTRIBUTES + EXR[8:], "more than 10000 attributes"),
     "zero.hdr": (HDR + b"-Y 0 +X 0\n", "is 0 x 0 texels"),
     "low.hdr": (HDR + b"-Y 0 +X 16\n", "is 16 x 0 texels"),
     "digits.hdr": (HDR + b"-Y " + b"9" * 5000 + b" +X 16\n", "no line of resolution"),
@@ -50,7 +53,8 @@ def test_what_maps_claim_is_refused(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", [name for name in maps.seeds() if not name.endswith(".txt")])
-def test_maps_larger_than_memory_are_not_read(name, tmp_path):
+def test_maps_larger_than_memory_are_not_read(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "_LEAST", 1)
     (tmp_path / name).write_bytes(maps.seeds()[name])
     assert read_environment(tmp_path / name).texels.shape == (8, 16, 3)
     with memory_limited(100), pytest.raises(UserError, match="of memory"):

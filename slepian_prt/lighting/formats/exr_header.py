@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 # Bits of the version field.
 _TILED, _DEEP, _SEVERAL = 0x200, 0x800, 0x1000
 
+# Attributes of a part; OpenEXR takes seconds for 100,000 of them, and files of renderers have hundreds.
+_MOST_ATTRIBUTES = 10_000
+
 _KINDS = ("uint", "half", "float")
 
 
@@ -113,6 +116,8 @@ def _parse(data: mmap.mmap) -> tuple[Part, ...]:
                 raise IndexError
             attributes[name] = data[at + 4 : at + 4 + size]
             at += 4 + size
+            if len(attributes) > _MOST_ATTRIBUTES:
+                raise ValueError(f"its header has more than {_MOST_ATTRIBUTES} attributes")
         at += 1
         parts.append(_part(attributes, flags, begin, at))
     return tuple(parts)

@@ -18,6 +18,7 @@ from PIL import Image, ImageCms
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.formats.png_encoding import MAGIC, PngEncoding, decode_srgb, read_encoding
 from slepian_prt.lighting.formats.primaries import to_srgb
+from slepian_prt.lighting.formats.whole_pictures import load_whole
 from slepian_prt.lighting.map_rows import Rows, check_shape, check_size
 from slepian_prt.machine.memory import check_memory
 from slepian_prt.renderer.variants import bitmap_module
@@ -28,7 +29,7 @@ log = logging.getLogger(__name__)
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "DIB", "TGA", "GIF", "PPM")
 
 # What a texel takes while it is decoded, in bytes, at most.
-_TEXEL = 16
+_TEXEL = 20
 
 # As they are, so that alpha changes no colour.
 _CHANNELS = {"1": "L", "L": "L", "LA": "L", "CMYK": "RGB", "YCbCr": "RGB", "P": "RGB", "PA": "RGB"}
@@ -80,6 +81,7 @@ def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[Any], int
     with _quiet(), _opened(path) as image:
         check_size(str(path), image.height, image.width)
         check_memory(_TEXEL * image.height * image.width, f"{path}: its picture", "make it smaller")
+        load_whole(image, lambda: _opened(path))  # first, since Pillow loads a PNG to find its orientation
         orientation = _given_orientation(image)
         check_shape(str(path), *((image.width, image.height) if orientation >= 5 else (image.height, image.width)))
         profiled = encoding is None or encoding.profiled
@@ -93,7 +95,6 @@ def _decode(path: Path, encoding: PngEncoding | None) -> tuple[NDArray[Any], int
             )
         if image.format in ("JPEG", "MPO") and _has_gain_map(path):
             log.info("%s: its gain map is not applied; the light is that of its ordinary picture", path)
-        image.load()
         target = _CHANNELS[image.mode]
         profile = image.info.get("icc_profile")
         if image.mode in ("P", "PA"):

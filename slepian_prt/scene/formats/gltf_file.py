@@ -41,6 +41,8 @@ class Document:
         Likewise, by index.
     textures : dict of Texture
         Likewise; None where the image cannot be read. One object each, so that its image is decoded once.
+    images : dict of bytes or Path
+        Likewise, encoded, by the places of their entries.
     taken : Counter
         ``bytes`` of arrays that were made so far, and how many when memory was ``checked`` last.
     """
@@ -51,6 +53,7 @@ class Document:
     buffers: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     views: dict[int, NDArray[np.uint8]] = field(default_factory=dict)
     textures: dict[int, Texture | None] = field(default_factory=dict)
+    images: dict[str, bytes | Path | None] = field(default_factory=dict)
     taken: Counter[str] = field(default_factory=Counter)
 
     def take(self, size: int) -> None:

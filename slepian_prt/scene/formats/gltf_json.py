@@ -14,6 +14,9 @@ from slepian_prt.errors import UserError
 # JSON numbers are exact integers up to here.
 _LARGEST = 2**53
 
+# Larger numbers are none that can be calculated with. Python would compute the power at each use.
+_HUGE = 10**300
+
 _KINDS = {
     "accessors": "accessor",
     "buffers": "buffer",
@@ -96,6 +99,8 @@ class Entry:
 
     def numbers(self, key: str, default: tuple[float, ...], size: int | None = None) -> tuple[float, ...]:
         """A list of finite numbers, as many as those by default unless ``size`` says otherwise (0: any)."""
+        if key not in self.values and size is None:
+            return default
         value = self._get(key, list(default))
         size = len(default) if size is None else size
         if not isinstance(value, list) or not all(map(_is_number, value)) or (size and len(value) != size):
@@ -104,6 +109,8 @@ class Entry:
 
     def indices(self, key: str) -> list[int]:
         """A list of whole numbers that are not negative; empty if it is not there."""
+        if key not in self.values:
+            return []
         value = self._get(key, [])
         if not isinstance(value, list) or not all(isinstance(i, int) and type(i) is not bool and i >= 0 for i in value):
             raise self._mistyped(key, value, "a list of indices")
@@ -169,4 +176,4 @@ class Entry:
 def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
-    return -(10**300) < value < 10**300 and math.isfinite(value)
+    return -_HUGE < value < _HUGE and math.isfinite(value)

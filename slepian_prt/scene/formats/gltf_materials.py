@@ -150,7 +150,9 @@ def _make_texture(document: Document, entry: Entry, notes: Counter[str]) -> Text
     if image is None:
         return None
     name = " ".join(image.text("name", "").split()) or image.place
-    source = _read_image(document, image, name, notes)
+    if image.place not in document.images:
+        document.images[image.place] = _read_image(document, image, name, notes)
+    source = document.images[image.place]
     return None if source is None else Texture(name, source, wrap)
 
 

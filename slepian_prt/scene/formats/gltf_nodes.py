@@ -16,6 +16,8 @@ from slepian_prt.scene.formats.gltf_file import Document
 from slepian_prt.scene.formats.gltf_json import Entry
 from slepian_prt.scene.formats.gltf_transforms import compose
 
+_MOVES = {"translation", "rotation", "scale", "matrix"}
+
 
 def read_parents(document: Document) -> NDArray[np.int64]:
     """(N,) the parent of each node; -1 for a root.
@@ -44,22 +46,26 @@ def read_parents(document: Document) -> NDArray[np.int64]:
 
 def place_nodes(document: Document, parents: NDArray[np.int64]) -> NDArray[np.float64]:
     """(N, 4, 4) transforms of the nodes to the space of the file."""
-    own = _read_transforms(document)
-    placed: list[NDArray[np.float64] | None] = [None] * len(own)
-    for index in range(len(own)):
-        chain = [index]
-        while placed[chain[-1]] is None and parents[chain[-1]] >= 0:
-            chain.append(int(parents[chain[-1]]))
+    own, moved = _read_transforms(document)
+    placed, done, above = own.copy(), (parents < 0).tolist(), parents.tolist()
+    for index in np.flatnonzero(parents >= 0).tolist():
+        chain = []
+        while not done[index]:
+            chain.append(index)
+            index = above[index]
         for node in reversed(chain):
-            above = placed[parents[node]] if parents[node] >= 0 else None
-            if placed[node] is None:
-                placed[node] = own[node] if above is None else above @ own[node]
-    return np.array(placed, dtype=np.float64).reshape(-1, 4, 4)
+            parent = placed[above[node]]
+            placed[node] = parent @ own[node] if moved[node] else parent
+            done[node] = True
+    return placed
 
 
-def _read_transforms(document: Document) -> NDArray[np.float64]:
-    """(N, 4, 4) of each node to its parent."""
-    nodes = document.table("nodes")
+def _read_transforms(document: Document) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(N, 4, 4) of each node to its parent, and (N,) whether it says one; files may have millions that do not."""
+    every = document.table("nodes")
+    moved = np.array([not _MOVES.isdisjoint(node.values) for node in every], dtype=bool)
+    result = np.tile(np.eye(4), (len(every), 1, 1))
+    nodes = [every[index] for index in np.flatnonzero(moved)]
     zero, one, still = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
     translations = [node.numbers("translation", zero) for node in nodes]
     rotations = [node.numbers("rotation", still) for node in nodes]
@@ -74,7 +80,8 @@ def _read_transforms(document: Document) -> NDArray[np.float64]:
             if np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-6:
                 raise node.fault(f"has a matrix that is not affine (its last row is {matrix[3].tolist()})")
             out[index] = matrix
-    return out
+    result[moved] = out
+    return result, moved
 
 
 def list_drawn(document: Document, parents: NDArray[np.int64], notes: Counter[str]) -> list[int]:

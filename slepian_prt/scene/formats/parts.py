@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -115,3 +115,18 @@ class MeshFile:
 
     parts: tuple[MeshPart, ...]
     notes: tuple[str, ...] = ()
+
+
+def share_textures(file: MeshFile) -> MeshFile:
+    """The same, with one object for textures of the same image that continue alike, so that it is decoded once."""
+    known: dict[tuple[bytes | Path, tuple[Wrap, Wrap]], Texture] = {}
+
+    def shared(texture: Texture | None) -> Texture | None:
+        return None if texture is None else known.setdefault((texture.source, texture.wrap), texture)
+
+    materials = {id(part.material): part.material for part in file.parts if part.material is not None}
+    changed = {
+        key: replace(material, texture=shared(material.texture), metallic_texture=shared(material.metallic_texture))
+        for key, material in materials.items()
+    }
+    return replace(file, parts=tuple(replace(p, material=changed.get(id(p.material))) for p in file.parts))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from slepian_prt.errors import UserError
+from slepian_prt.lighting.formats.whole_pictures import load_whole
 from slepian_prt.machine.file_content import is_file
 from slepian_prt.machine.memory import check_memory
 from slepian_prt.scene.formats.parts import Texture, Wrap
@@ -25,6 +26,9 @@ _LINEAR = _CODES.astype(np.float32)
 
 # Formats that any reader of meshes knows, by Pillow's names, with their suffixes.
 _WIDELY_READ = {"PNG": ".png", "JPEG": ".jpg"}
+
+# Kinds that Pillow starts another program for (Ghostscript).
+_NOT_READ = ("EPS",)
 
 # Texture coordinates beyond this are rubbish, and float32 has no fractions there.
 _LARGEST_UV = 2.0**24
@@ -156,7 +160,9 @@ def _opened(texture: Texture) -> Iterator[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Pillow warns of large images and of odd ones that it reads well
-            with Image.open(source) as image:
+            Image.init()
+            known = [kind for kind in Image.ID if kind not in _NOT_READ]
+            with Image.open(source, formats=known) as image:
                 yield image
     except Image.DecompressionBombError:
         most = 2 * (Image.MAX_IMAGE_PIXELS or 0)
@@ -172,6 +178,7 @@ def _decode(texture: Texture) -> NDArray[np.uint8]:
     """(H, W, 3) as it is encoded."""
     with _opened(texture) as image:
         check_memory(_TEXEL * image.height * image.width, f"texture {texture.name}", "make it smaller")
+        load_whole(image, lambda: _opened(texture))
         if image.mode not in _WHITE:
             return np.asarray(image.convert("RGB"))
         values = np.nan_to_num(np.asarray(image, dtype=np.float32)) / _WHITE[image.mode]

@@ -1,21 +1,26 @@
 """Mesh files that claim, name or repeat what they should not: one line, in time and memory that their size allows."""
 
 import base64
+import io
 import json
 import os
 import struct
+import sys
 import time
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from slepian_prt.errors import UserError, printable
 from slepian_prt.machine.file_content import is_file, read_content
 from slepian_prt.machine.memory import memory_limited
 from slepian_prt.scene.formats import polygons
+from slepian_prt.scene.formats.gltf import read_gltf
 from slepian_prt.scene.formats.joining import join_near
 from slepian_prt.scene.mesh_files import read_mesh
-from tests.scene.formats.gltf_writer import TETRAHEDRON, Writer
+from slepian_prt.scene.reflectance import textures
+from tests.scene.formats.gltf_writer import FACES, TETRAHEDRON, Writer
 
 CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 PLY = (
@@ -219,3 +224,51 @@ def test_many_materials_are_not_looked_at_by_each(tmp_path):
         assert len(read_mesh(tmp_path / "a.obj").faces) == count
         seconds.append(time.process_time() - began)
     assert seconds[1] < 30 * seconds[0]
+
+
+def test_an_image_that_many_materials_name_is_decoded_once(tmp_path, monkeypatch):
+    """In .obj and glTF alike; one that continues otherwise beyond its borders is another."""
+    file = io.BytesIO()
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(file, "PNG")
+    (tmp_path / "a.png").write_bytes(file.getvalue())
+    names = [f"a{k}" for k in range(30)]
+    (tmp_path / "a.mtl").write_text("".join(f"newmtl {n}\nmap_Kd {'-clamp on ' * (n == 'a7')}a.png\n" for n in names))
+    used = "".join(f"usemtl {n}\nf 1/1 2/2 3/3\n" for n in names)
+    (tmp_path / "a.obj").write_text("mtllib a.mtl\n" + CORNERS + "vt 0 0\nvt 1 0\nvt 0 1\n" + used)
+    writer = Writer()
+    image = writer.add("images", bufferView=writer.view(file.getvalue()), mimeType="image/png")
+    for _ in range(30):
+        texture = writer.add("textures", source=image)
+        colour = {"baseColorTexture": {"index": texture}}
+        material = writer.add("materials", pbrMetallicRoughness={**colour, "metallicFactor": 0})
+        mesh = writer.mesh(TETRAHEDRON, FACES, TEXCOORD_0=np.zeros((4, 2)))
+        writer.primitive(mesh)["material"] = material
+        writer.node(mesh=mesh)
+    decoded = []
+    original = textures.decode_texture
+    monkeypatch.setattr(textures, "decode_texture", lambda *a, **b: decoded.append(a) or original(*a, **b))
+    for path, times in ((tmp_path / "a.obj", 2), (writer.write(tmp_path), 1)):
+        decoded.clear()
+        mesh = read_mesh(path)
+        assert np.ptp(mesh.albedo - [1.0, 0.0, 0.0]) < 1e-6
+        assert len(decoded) == times
+
+
+def test_nodes_that_hold_nothing_take_little_work(tmp_path):
+    """Calls of functions, for each of many nodes: six; there were seventy."""
+    writer = Writer()
+    writer.node(mesh=writer.mesh(TETRAHEDRON, FACES))
+    for _ in range(5_000):
+        writer.node()
+    path, calls = writer.write(tmp_path), 0
+
+    def count(_, event, __):
+        nonlocal calls
+        calls += event in ("call", "c_call")
+
+    sys.setprofile(count)
+    try:
+        read_gltf(path)
+    finally:
+        sys.setprofile(None)
+    assert calls < 20 * 5_000

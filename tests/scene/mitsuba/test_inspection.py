@@ -5,6 +5,7 @@ import os
 import pytest
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine import memory
 from slepian_prt.machine.memory import memory_limited
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.scene.mitsuba.inspection import inspect_xml
@@ -93,7 +94,8 @@ def test_text_in_an_unknown_encoding(tmp_path):
         inspect_xml(tmp_path / "a.xml", {})
 
 
-def test_scenes_larger_than_memory_are_not_parsed(tmp_path):
+def test_scenes_larger_than_memory_are_not_parsed(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory, "_LEAST", 1)
     path = write(tmp_path, "<!--" + "x" * 10_000 + "-->" + WALL)
     inspect_xml(path, {})
     with memory_limited(10_000), pytest.raises(UserError, match="of memory"):
