@@ -111,7 +111,7 @@ def _told(path: str | Path, about: dict[str, Any], arrays: dict[str, NDArray]) -
                 shapes.accept(name, arrays[name])
     except ValueError as error:
         reason = shorten(str(error), 200)
-        raise UserError(f"{path}: no file can hold this transfer ({reason}); change that in the scene") from None
+        raise UserError(f"{path}: no file can hold this transfer ({reason}); change that before it is saved") from None
     return np.array(text)
 
 

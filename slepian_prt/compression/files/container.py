@@ -218,7 +218,7 @@ def _check_readers(path: str | Path, manifest: dict[str, Any], arrays: dict[str,
         raise
     except ValueError as error:
         reason = shorten(str(error), 200)
-        raise UserError(f"{path}: no file can hold this transfer ({reason}); change that in the scene") from None
+        raise UserError(f"{path}: no file can hold this transfer ({reason}); change that before it is saved") from None
 
 
 def _text(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> bytes:
