@@ -39,7 +39,7 @@ def pack(manifest: Manifest | bytes, arrays: dict[str, NDArray | bytes]) -> byte
     """A file of these, with the checksums that belong to them."""
     buffer = io.BytesIO()
     text = manifest if isinstance(manifest, bytes) else json.dumps(manifest).encode()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("manifest.json", text)
         for name, array in with_checksums(arrays).items():
             archive.writestr(f"{name}.npy", array if isinstance(array, bytes) else npy(array))

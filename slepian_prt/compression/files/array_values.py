@@ -130,6 +130,8 @@ def check_terms(known: Known, array: NDArray) -> None:
     terms = np.broadcast_to(array.astype(np.int64), caps)
     low, high = int(terms.min()), int(terms.max())
     known.sizes["functions M"] = int(terms.sum()) * size
+    # Of components that no cap has nothing is read: predictions may have been fitted to wider ones.
+    known.ranges["widths"] = (max(1, high * channels), size * channels)
     known.ranges["numbers"] = (known.sizes["V"] * low * channels, known.sizes["V"] * high * channels)
 
 
@@ -220,8 +222,6 @@ def check_coded_caps(known: Known, array: NDArray) -> None:
     if known.sizes["bits"] > most * _EXTRA_BITS // 8 + len(widths):
         raise ValueError("more bits than numbers need")
     known.ranges["contexts"] = _contexts_range()
-    # Of what nobody has nothing is read: some writers fitted predictions to wider or narrower caps.
-    known.ranges["widths"] = (max(1, int(widths.max(initial=0))), known.sizes["M"] * known.manifest["channels"])
 
 
 def check_prediction(known: Known, array: NDArray) -> None:
