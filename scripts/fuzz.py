@@ -2,8 +2,8 @@
 
     scripts/fuzz [N] [--minutes M] [--kinds KIND …] [--first SEED] [--processes P]
 
-Kinds are prt, meshes, maps, journals and scenes. N of each are made (500 by default) or, with ``--minutes``, as many as
-there is time for. Each comes of its seed: those that are printed can be made again with ``--first SEED 1``.
+Kinds are prt, npz, meshes, maps, journals and scenes. N of each are made (500 by default) or, with ``--minutes``, as
+many as there is time for. Each comes of its seed: those that are printed can be made again with ``--first SEED 1``.
 
 Well is what is read and used as a user would, and what is refused with one line. A fault is another exception, what a
 library prints, a warning, and a process that dies, hangs or takes 1.5 GiB more. Inputs at fault are kept, and told. It
@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from tests.fuzzing.run import Findings, prepare, run
 
-KINDS = ("prt", "meshes", "maps", "journals", "scenes")
+KINDS = ("prt", "npz", "meshes", "maps", "journals", "scenes")
 
 # Attempts between two looks at the clock; journals take longest.
 _AT_ONCE = {"journals": 40, "scenes": 100}

@@ -6,7 +6,7 @@ from tests.fuzzing import known_faults
 from tests.fuzzing.attempts import KINDS
 from tests.fuzzing.run import prepare, run
 
-COUNTS = {"prt": 500, "meshes": 200, "maps": 100, "journals": 50, "scenes": 50}
+COUNTS = {"prt": 500, "npz": 60, "meshes": 200, "maps": 100, "journals": 50, "scenes": 50}
 
 # The same attempts on every machine.
 FIRST = 22_000_000

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from numpy.typing import ArrayLike
 
-from slepian_prt.errors import check_bandlimit, check_integer
+from slepian_prt.errors import UserError, check_bandlimit, check_integer
 from slepian_prt.scene.mesh_files import check_crease_angle
 from slepian_prt.scene.mitsuba.parameters import scene_parameters
 from slepian_prt.transport.effects import wanted_effects
@@ -15,6 +16,17 @@ from slepian_prt.transport.effects import wanted_effects
 LARGEST_BANDLIMIT = 50
 LARGEST_SAMPLES = 1 << 16
 LARGEST_BOUNCES = 1000
+
+# Of a seed; as many as generators of random numbers begin with.
+_SEED_BITS = 128
+
+
+def check_seed(seed: Any) -> int:
+    """Return ``seed`` as an int; raise UserError unless it is a whole number of at most 128 bits."""
+    number = check_integer(seed, "seed", 0)
+    if number.bit_length() > _SEED_BITS:
+        raise UserError(f"seed must be below 2^{_SEED_BITS}, not a number of {number.bit_length()} bits")
+    return number
 
 
 @dataclass(frozen=True)
@@ -59,7 +71,7 @@ class TransportSettings:
         numbers = {
             "bandlimit": check_bandlimit(self.bandlimit, largest=LARGEST_BANDLIMIT),
             "samples": check_integer(self.samples, "samples", 1, LARGEST_SAMPLES),
-            "seed": check_integer(self.seed, "seed", 0),
+            "seed": check_seed(self.seed),
         }
         if self.bounces is not None:
             numbers["bounces"] = check_integer(self.bounces, "bounces", 0, LARGEST_BOUNCES)

@@ -14,6 +14,7 @@ from slepian_prt.scene.mesh import LARGEST_COORDINATE
 from slepian_prt.scene.view import View
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.json_text import with_characters
 from slepian_prt.transport.settings import LARGEST_BANDLIMIT
 
 FORMAT = "slepian_prt uncompressed transfer"
@@ -126,7 +127,7 @@ def _check_view(view: View) -> None:
 
 def _decode(decoder: Any, text: str) -> Any:
     try:
-        return decoder.decode(text.encode())
+        return decoder.decode(with_characters(text.encode()))
     except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
         raise ValueError(str(error).replace("`", "")) from None
 

@@ -8,7 +8,6 @@ and ``about``, which is all else as JSON.
 
 from __future__ import annotations
 
-import json
 import struct
 import zipfile
 import zlib
@@ -34,6 +33,7 @@ from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
 from slepian_prt.transport.archive_members import members_of, open_archive, read_array, read_text
 from slepian_prt.transport.effects import Effect
+from slepian_prt.transport.json_text import effect_as_json, finite_only, finite_or_none, view_as_json, write_json
 from slepian_prt.transport.transfer import Transfer
 from slepian_prt.transport.transfer_about import FORMAT, NAMES, VERSION, Shapes, begin_of, read_about
 from slepian_prt.transport.transport_text import read_transport
@@ -66,16 +66,17 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
         "format": FORMAT,
         "version": VERSION,
         **{name: getattr(transfer, name) for name in _PLAIN},
+        "seconds": finite_only(transfer.seconds),
         "parameters": dict(transfer.parameters),
         "name": mesh.name,
         "notes": mesh.notes,
         "known_albedo": mesh.known_albedo,
         "not_simulated": mesh.not_simulated,
         "parts": [list(astuple(part)) for part in transfer.parts],
-        "effects": [effect.as_dict() for effect in transfer.effects],
-        "view": None if transfer.view is None else transfer.view.as_dict(),
+        "effects": [effect_as_json(effect) for effect in transfer.effects],
+        "view": None if transfer.view is None else view_as_json(transfer.view),
         "environment": None if light is None else {"name": light.name, "clamped": light.clamped},
-        "noise": transfer.noise,
+        "noise": finite_or_none(transfer.noise),
     }
     arrays: dict[str, NDArray] = {
         "vectors": transfer.vectors,
@@ -94,9 +95,24 @@ def save_transfer(transfer: Transfer, path: str | Path) -> None:
     if transfer.film is not None:
         about["film"] = {name: getattr(transfer.film, name) for name in _FILM_PLAIN}
         arrays |= {f"film_{name}": getattr(transfer.film, name) for name in _FILM}
-    arrays["about"] = np.array(json.dumps(about))
+    arrays["about"] = _told(path, about, arrays)
     with atomic_output(path) as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # of its keyword allow_pickle
+
+
+def _told(path: str | Path, about: dict[str, Any], arrays: dict[str, NDArray]) -> NDArray:
+    """``about`` as a file holds it; raises UserError where `load_transfer` would refuse it or the arrays."""
+    try:
+        text = write_json(about)
+        shapes = Shapes(read_about(text))
+        for name in NAMES:
+            if name in arrays:
+                shapes.expect(name, arrays[name].dtype, arrays[name].shape)
+                shapes.accept(name, arrays[name])
+    except ValueError as error:
+        reason = shorten(str(error), 200)
+        raise UserError(f"{path}: no file can hold this transfer ({reason}); change that before it is saved") from None
+    return np.array(text)
 
 
 def load_transfer(path: str | Path, mesh: str | Path | Mesh | None = None) -> Transfer:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
@@ -17,10 +18,11 @@ import numpy as np
 
 import slepian_prt as sp
 from slepian_prt.compression.files.prt_file import content_of
+from slepian_prt.evaluation.dimension.caps import cap_dimensions
 from slepian_prt.scene.loading import open_scene
 from slepian_prt.transport import direct
 from tests.conftest import bumpy
-from tests.fuzzing import journals, maps, meshes, prt_files, scenes
+from tests.fuzzing import journals, maps, meshes, npz_files, prt_files, scenes
 
 
 class Kind(NamedTuple):
@@ -94,6 +96,48 @@ def _try_prt(folder: Path, seeds: Path, random: Random) -> None:
     assert np.isfinite(radiance).all()
     assert np.isfinite(transfer.predicted_relit_error(lighting))
     assert transfer.reconstruct().shape == (transfer.vertex_count, transfer.channels, lighting.shape[1])
+    if random.randrange(10) == 0:
+        _export(transfer, folder)
+
+
+def _export(transfer: sp.CompressedTransfer, folder: Path) -> None:
+    """Use a file in all other ways: some refuse what is no fault, such as pixels instead of a mesh."""
+    uses: tuple[Callable[[], object], ...] = (
+        lambda: cap_dimensions(transfer, 0.05),
+        lambda: sp.gpu_transfer(transfer, 8),
+        lambda: sp.save_page(folder / "page.html", transfer),
+        lambda: sp.export_model(transfer, folder / "model.glb"),
+        lambda: transfer.save(folder / "again.prt"),
+        lambda: sp.load(folder / "again.prt"),
+    )
+    for use in uses:
+        with suppress(sp.UserError):
+            use()
+
+
+def _prepare_npz(folder: Path) -> None:
+    """Files of `Transfer.save`: of a mesh, of a scene with lamps and a camera, of its pixels, and of a sky."""
+    sp.precompute(bumpy(2), bandlimit=3, samples=16).save(folder / "mesh.npz")
+    scene, sky = folder / "lit.xml", folder / "sky.xml"
+    scene.write_text(_LIT)
+    sky.write_text(_LIT.replace("</scene>", '<emitter type="sunsky"/></scene>'))
+    for path in (scene, sky):
+        sp.precompute(path, bandlimit=2, samples=16).save(path.with_suffix(".npz"))
+    sp.capture(scene, bandlimit=2, samples=4).save(folder / "film.npz")
+
+
+def _try_npz(folder: Path, seeds: Path, random: Random) -> None:
+    """Read transfer that is not compressed, and use it."""
+    source = random.choice(sorted(seeds.glob("*.npz")))
+    path = folder / "damaged.npz"
+    path.write_bytes(npz_files.mutate(source.read_bytes(), random))
+    transfer = sp.load_transfer(path)
+    repr(transfer)
+    lighting = np.ones((3, (transfer.bandlimit + 1) ** 2))
+    assert np.isfinite(sp.relight(transfer, lighting)).all()
+    if random.randrange(10) == 0:
+        sp.compress(transfer, terms=4, clusters=3, coding="float32").save(folder / "again.prt")
+        sp.load(folder / "again.prt")
 
 
 def _try_mesh(folder: Path, seeds: Path, random: Random) -> None:
@@ -179,6 +223,7 @@ def _try_journal(folder: Path, seeds: Path, random: Random) -> None:
 
 KINDS = {
     "prt": Kind(_prepare_prt, _try_prt),
+    "npz": Kind(_prepare_npz, _try_npz),
     "meshes": Kind(meshes.write_seeds, _try_mesh),
     "maps": Kind(lambda folder: _write(maps.seeds(), folder), _try_map),
     "journals": Kind(_prepare_journals, _try_journal),

@@ -39,7 +39,7 @@ def pack(manifest: Manifest | bytes, arrays: dict[str, NDArray | bytes]) -> byte
     """A file of these, with the checksums that belong to them."""
     buffer = io.BytesIO()
     text = manifest if isinstance(manifest, bytes) else json.dumps(manifest).encode()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("manifest.json", text)
         for name, array in with_checksums(arrays).items():
             archive.writestr(f"{name}.npy", array if isinstance(array, bytes) else npy(array))
@@ -100,11 +100,11 @@ _VALUES: tuple[Any, ...] = (
 def _spoil_manifest(content: bytes, random: random.Random) -> bytes:
     manifest, arrays = unpack(content)
     for _ in range(random.choice((1, 1, 1, 2, 3))):
-        _spoil_value(manifest, random)
+        spoil_value(manifest, random)
     return pack(manifest, arrays)
 
 
-def _spoil_value(manifest: Manifest, random: random.Random) -> None:
+def spoil_value(manifest: Manifest, random: random.Random) -> None:
     """Change a value of a manifest, wherever it is."""
     holder: Any = manifest
     key: Any = random.choice(list(manifest))
@@ -160,11 +160,16 @@ def _spoil_arrays(content: bytes, random: random.Random) -> bytes:
     members: dict[str, NDArray | bytes] = dict(arrays)
     for _ in range(random.choice((1, 1, 1, 2))):
         name = random.choice(list(arrays))
-        kind = random.choice((_other_values, _other_values, _other_values, _other_type, _other_shape, _other_header))
-        members[name] = kind(arrays[name], random)
+        members[name] = spoil_array(arrays[name], random)
         if isinstance(members[name], np.ndarray):
             arrays[name] = members[name]  # type: ignore[assignment]
     return pack(manifest, members)
+
+
+def spoil_array(array: NDArray, random: random.Random) -> NDArray | bytes:
+    """Of other values, or another type, shape or header."""
+    kind = random.choice((_other_values, _other_values, _other_values, _other_type, _other_shape, _other_header))
+    return kind(array, random)
 
 
 def _other_values(array: NDArray, random: random.Random) -> NDArray:

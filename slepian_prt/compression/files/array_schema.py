@@ -195,7 +195,7 @@ ARRAYS = (
     ArrayRow("mean/zonal", "float32", ("classes", "L+1"), _may, _number),
     ArrayRow("coefficients", "float16 float32", ("numbers",), _plain, values.check_coefficients),
     ArrayRow("coded/caps", "uint32", (6, "C"), _coded, values.check_coded_caps),
-    ArrayRow("coded/prediction", "uint8", (4, "largest K D"), _coded, values.check_prediction),
+    ArrayRow("coded/prediction", "uint8", (4, "widths"), _coded, values.check_prediction),
     ArrayRow("coded/contexts", "uint8", ("contexts",), _coded, values.check_contexts),
     ArrayRow("coded/lanes", "uint16", ("lanes",), _some("lanes")),
     ArrayRow("coded/words", "uint16", ("words",), _some("words")),

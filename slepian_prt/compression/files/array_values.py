@@ -130,7 +130,8 @@ def check_terms(known: Known, array: NDArray) -> None:
     terms = np.broadcast_to(array.astype(np.int64), caps)
     low, high = int(terms.min()), int(terms.max())
     known.sizes["functions M"] = int(terms.sum()) * size
-    known.sizes["largest K D"] = max(1, high * channels)
+    # Of components that no cap has nothing is read: predictions may have been fitted to wider ones.
+    known.ranges["widths"] = (max(1, high * channels), size * channels)
     known.ranges["numbers"] = (known.sizes["V"] * low * channels, known.sizes["V"] * high * channels)
 
 

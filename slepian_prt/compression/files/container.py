@@ -8,7 +8,6 @@ the others are deflated.
 from __future__ import annotations
 
 import io
-import json
 import struct
 import zipfile
 import zlib
@@ -27,10 +26,16 @@ from slepian_prt.compression.files.known import Known, known_of
 from slepian_prt.compression.files.manifest import FORMAT, VERSION, begin_of, read_manifest
 from slepian_prt.errors import UserError
 from slepian_prt.files import atomic_output, check_readable
+from slepian_prt.machine.memory import check_memory
 from slepian_prt.transport.archive_members import Misfit, members_of, open_archive, read_array, read_member
+from slepian_prt.transport.json_text import with_characters, write_json
 
-# A manifest is no longer, and only so many times longer than it is packed, but for short ones.
-_LARGEST_MANIFEST, _SMALL_MANIFEST, _RATIO = 1 << 26, 1 << 20, 32
+# A manifest is no longer, and only so many times longer than it is packed, but for short ones: those of thousands of
+# shapes that are alike are 80 times as long.
+_LARGEST_MANIFEST, _SMALL_MANIFEST, _RATIO = 1 << 26, 1 << 20, 128
+
+# From this length on it is written without blanks. Read, a byte of it takes so many.
+_LONG_MANIFEST, _TAKEN = 1 << 24, 32
 
 # A fixed time stamp: the same content gives the same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -54,8 +59,9 @@ def write(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]
     Raises
     ------
     UserError
-        The folder is missing or not writable, or the disk is full.
+        The folder is missing or not writable, the disk is full, or the file would be refused by who reads it.
     """
+    _check_readers(path, manifest, arrays)
     with atomic_output(path) as file, zipfile.ZipFile(file, "w") as container:
         return _fill(container, manifest, arrays)
 
@@ -102,7 +108,9 @@ class Contents:
                 )
             packed = members["manifest.json"]
             most = min(_LARGEST_MANIFEST, _SMALL_MANIFEST + _RATIO * packed.compress_size)
-            content = read_member(archive, packed, most)
+            if packed.file_size > _SMALL_MANIFEST:
+                check_memory(_TAKEN * packed.file_size, f"{path}", "precompute it again with fewer shapes")
+            content = with_characters(read_member(archive, packed, most))
             self.sizes = _sizes(archive)
             self._check_version(*begin_of(content))
             self.manifest = _fitting(read_manifest, content)
@@ -173,14 +181,19 @@ def _read(
     archive: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo], row: ArrayRow, known: Known
 ) -> Iterator[NDArray]:
     """The array of a row, if the file is to have it."""
-    there = row.there(known)
-    if there is False or (there is None and row.name not in known.names):
+    if not _is_expected(row, known):
         return
-    if row.name not in known.names:
-        raise Misfit(f"there is no {row.name}")
     array = read_array(archive, members[f"{row.name}.npy"], partial(row.expect, known))
     row.accept(known, array)
     yield array
+
+
+def _is_expected(row: ArrayRow, known: Known) -> bool:
+    """Whether a file has the array of a row; raises Misfit if it has to have one and has none."""
+    there = row.there(known)
+    if there and row.name not in known.names:
+        raise Misfit(f"there is no {row.name}")
+    return there is not False and row.name in known.names
 
 
 def _fitting(read: Callable[[bytes], dict[str, Any]], content: bytes) -> dict[str, Any]:
@@ -190,9 +203,34 @@ def _fitting(read: Callable[[bytes], dict[str, Any]], content: bytes) -> dict[st
         raise Misfit(str(error)) from None
 
 
-def _fill(container: zipfile.ZipFile, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, int]:
+def _check_readers(path: str | Path, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> None:
+    """Raise UserError for what `Contents` would not read."""
+    try:
+        content = _text(manifest, arrays)
+        if len(content) > _LARGEST_MANIFEST:
+            raise ValueError(f"{len(content):,} bytes are told of its shapes and names")
+        known = known_of(read_manifest(content), frozenset(arrays))
+        for row in ARRAYS:
+            if _is_expected(row, known):
+                row.expect(known, arrays[row.name].dtype, arrays[row.name].shape)
+                row.accept(known, arrays[row.name])
+    except UserError:
+        raise
+    except ValueError as error:
+        reason = shorten(str(error), 200)
+        raise UserError(f"{path}: no file can hold this transfer ({reason}); change that before it is saved") from None
+
+
+def _text(manifest: dict[str, Any], arrays: dict[str, NDArray]) -> bytes:
     content = {"format": FORMAT, "version": VERSION, "arrays": list(arrays), **manifest}
-    _add(container, "manifest.json", json.dumps(content, indent=1).encode(), zipfile.ZIP_DEFLATED)
+    text = write_json(content, indent=1)
+    return (text if len(text) < _LONG_MANIFEST else write_json(content)).encode()
+
+
+def _fill(container: zipfile.ZipFile, manifest: dict[str, Any], arrays: dict[str, NDArray]) -> dict[str, int]:
+    content = _text(manifest, arrays)
+    small = len(content) <= _SMALL_MANIFEST or len(content) <= _RATIO * len(zlib.compress(content))
+    _add(container, "manifest.json", content, zipfile.ZIP_DEFLATED if small else zipfile.ZIP_STORED)
     for name, array in arrays.items():
         _add(container, f"{name}.npy", _npy(array), _compression(array))
     return _sizes(container)

@@ -20,6 +20,7 @@ from slepian_prt.compression.files.transfer_arrays import pack_transfer
 from slepian_prt.compression.files.vertex_order import in_file_order
 from slepian_prt.compression.stored_mesh.stored import pack_order
 from slepian_prt.errors import UserError
+from slepian_prt.transport.json_text import effect_as_json, finite_only, finite_or_none, view_as_json
 
 
 def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = False) -> None:
@@ -28,7 +29,7 @@ def save(packed: CompressedTransfer, path: str | Path, *, keep_order: bool = Fal
     Raises
     ------
     UserError
-        The folder is missing or not writable, or the disk is full.
+        The folder is missing or not writable, the disk is full, or there is something in it that no file can hold.
     """
     remember_size(packed, container.write(path, *content_of(packed, keep_order=keep_order)))
 
@@ -54,17 +55,17 @@ def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple
         "notes": list(packed.mesh.notes),
         "expected_lost": packed.expected.lost.tolist(),
         "expected_total": packed.expected.total.tolist(),
-        "effects": [effect.as_dict() for effect in packed.effects],
+        "effects": [effect_as_json(effect) for effect in packed.effects],
         "samples": packed.samples,
         "seed": packed.seed,
         "rays_traced": packed.rays_traced,
         # The same work gives the same file where builds are to be reproducible (reproducible-builds.org).
-        "seconds": {} if "SOURCE_DATE_EPOCH" in os.environ else packed.seconds,
+        "seconds": {} if "SOURCE_DATE_EPOCH" in os.environ else finite_only(packed.seconds),
         "source": packed.source,
         "parameters": dict(packed.parameters),
-        "view": None if packed.view is None else packed.view.as_dict(),
+        "view": None if packed.view is None else view_as_json(packed.view),
         "toward_view": packed.toward_view,
-        "verified": packed.verified,
+        "verified": finite_only(packed.verified),  # over black it is no number
         "verified_vertices": packed.verified_vertices,
         "verified_left_out": packed.verified_left_out,
         "written_by": f"slepian_prt {version('slepian_prt')}",
@@ -80,7 +81,7 @@ def content_of(packed: CompressedTransfer, *, keep_order: bool = False) -> tuple
     if packed.fixed is not None:
         manifest["fixed"], lamps = pack_lamps(packed.fixed)
         light |= lamps
-    if packed.path_noise is not None:
+    if finite_or_none(packed.path_noise) is not None:
         manifest["noise"] = packed.path_noise
     return manifest, {**mesh, **light, **pack_transfer(packed)}
 

@@ -13,14 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.scene.formats.draco_header import draco_counts
 from slepian_prt.scene.formats.joining import group, join_equal
 from slepian_prt.scene.receivers import morton
 
 # DracoPy passes whole numbers through float32.
 LARGEST_PLACE = (1 << 24) - 1
-
-# Bytes of Draco's header.
-_HEADER = 11
 
 # Draco's own; 10 is the smallest and slowest, of about 1.7 million vertices per second.
 _LEVEL = 10
@@ -92,32 +90,10 @@ def decode(coded: Coded, vertices: int) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def check_draco_header(data: bytes, faces: int) -> None:
-    """Raise ValueError for a stream that is no mesh of so many faces: Draco takes memory for as many as it tells.
-
-    Bitstream 2.2: "DRACO", version, a mesh, its method, flags; then by method 0 the numbers of faces and points, by
-    method 1 the way of traversal and the numbers of vertices and faces.
-    """
-    if len(data) < _HEADER or data[:8] != b"DRACO\x02\x02\x01" or data[8] not in (0, 1) or data[9:_HEADER] != b"\0\0":
-        raise ValueError("not a mesh of Draco")
-    place = _HEADER + data[8]
-    first, place = _varint(data, place)
-    second, place = _varint(data, place)
-    told, vertices = (first, second) if data[8] == 0 else (second, first)
+    """Raise ValueError for a stream that is no mesh of so many faces: Draco takes memory for as many as it tells."""
+    told, vertices = draco_counts(data)
     if told != faces or vertices > 3 * faces:
         raise ValueError(f"a mesh of Draco of {told} faces and {vertices} vertices where {faces} faces are told of")
-
-
-def _varint(data: bytes, place: int) -> tuple[int, int]:
-    """A number in groups of seven bits, the lowest first, and the place behind it."""
-    number = 0
-    for shift in range(0, 35, 7):
-        if place >= len(data):
-            raise ValueError("Draco's header is cut short")
-        number |= (data[place] & 0x7F) << shift
-        place += 1
-        if data[place - 1] < 0x80:
-            return number, place
-    raise ValueError("a number of Draco's header")
 
 
 def _by_draco(

@@ -10,9 +10,13 @@ import importlib
 import numpy as np
 from numpy.typing import NDArray
 
+from slepian_prt.scene.formats.draco_header import draco_counts
 from slepian_prt.scene.formats.gltf_accessors import read_view
 from slepian_prt.scene.formats.gltf_file import Document
 from slepian_prt.scene.formats.gltf_json import Entry
+
+# Bytes that Draco takes meanwhile, and more.
+_OF_FACE, _OF_VERTEX = 120, 200
 
 EXTENSION = "KHR_draco_mesh_compression"
 
@@ -32,6 +36,11 @@ def decode_draco(document: Document, primitive: Entry) -> dict[str, NDArray]:
     names = extension.entry("attributes")
     if names is None:
         raise extension.fault("has no attributes")
+    try:
+        faces, vertices = draco_counts(data)
+    except ValueError as error:
+        raise extension.fault(f"cannot be decoded: {error}") from None
+    document.take(_OF_FACE * faces + _OF_VERTEX * vertices)
     package = importlib.import_module("DracoPy")
     try:
         mesh = package.decode(data)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from slepian_prt.errors import UserError, check_bandlimit, check_integer
 from slepian_prt.scene.mitsuba.parameters import scene_parameters
-from slepian_prt.transport.settings import LARGEST_BANDLIMIT, LARGEST_SAMPLES
+from slepian_prt.transport.settings import LARGEST_BANDLIMIT, LARGEST_SAMPLES, check_seed
 
 DEFAULT_SAMPLES = 256
 
@@ -57,7 +57,7 @@ class CaptureSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "bandlimit", check_bandlimit(self.bandlimit, largest=LARGEST_BANDLIMIT))
-        object.__setattr__(self, "seed", check_integer(self.seed, "seed", 0))
+        object.__setattr__(self, "seed", check_seed(self.seed))
         if self.samples is not None:
             object.__setattr__(self, "samples", check_integer(self.samples, "samples", 2, LARGEST_SAMPLES))
             if self.is_open:

@@ -188,12 +188,16 @@ def test_broken_meshopt_views(writer, tmp_path, change, message):
     assert "buffer view 0" in str(caught.value)
 
 
+# The beginning of a mesh of four faces and four vertices.
+DRACO = b"DRACO\2\2\1\0\0\0\4\4"
+
+
 def draco_mesh(writer, identifiers, faces=FACES):
     """A mesh whose attributes stand in a view that is said to be Draco's."""
     positions = writer.add("accessors", componentType=5126, count=4, type="VEC3")
     normals = writer.add("accessors", componentType=5120, count=4, type="VEC3", normalized=True)
     indices = writer.add("accessors", componentType=5125, count=12, type="SCALAR")
-    extension = {"bufferView": writer.view(b"DRACO"), "attributes": identifiers}
+    extension = {"bufferView": writer.view(DRACO), "attributes": identifiers}
     attributes = {"POSITION": positions, "NORMAL": normals}
     writer.add("meshes", primitives=[
         {"attributes": attributes, "indices": indices, "extensions": {"KHR_draco_mesh_compression": extension}}
@@ -220,7 +224,7 @@ class StandIn:
 
     @staticmethod
     def decode(data):
-        if data != b"DRACO":
+        if data != DRACO:
             raise RuntimeError("not Draco")
         return Decoded()
 
@@ -247,8 +251,27 @@ def test_draco_attributes_that_are_not_there(writer, tmp_path, monkeypatch, iden
 def test_draco_data_that_are_broken(writer, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "DracoPy", StandIn)
     draco_mesh(writer, {"POSITION": 3})
-    writer.json["bufferViews"][0]["byteLength"] = 4
-    with pytest.raises(UserError, match="cannot be decoded by DracoPy: not Draco"):
+    at = writer.json["bufferViews"][0].get("byteOffset", 0)
+    for begin, message in (
+        (DRACO[:-1] + b"\5", "cannot be decoded by DracoPy: not Draco"),
+        (DRACO[:5], "cannot be decoded: not a triangle mesh of Draco"),
+        (DRACO[:7] + b"\0" + DRACO[8:], "cannot be decoded: not a triangle mesh of Draco"),  # a cloud of points
+        (DRACO[:11] + b"\xff" * 4, "cannot be decoded: Draco's header is cut short"),
+    ):
+        writer.json["bufferViews"][0]["byteLength"] = len(begin)
+        writer.blob[at : at + len(begin)] = begin
+        with pytest.raises(UserError, match=message):
+            read_gltf(writer.write(tmp_path))
+
+
+def test_draco_data_of_more_than_memory_holds(writer, tmp_path, monkeypatch):
+    """Nothing is decoded: it would take memory for as many as are claimed."""
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    draco_mesh(writer, {"POSITION": 3})
+    at = writer.json["bufferViews"][0].get("byteOffset", 0)
+    writer.json["bufferViews"][0]["byteLength"] = 17
+    writer.blob[at : at + 17] = DRACO[:11] + b"\xff\xff\xff\xff\5\3"
+    with pytest.raises(UserError, match=r"needs about .* of memory"):
         read_gltf(writer.write(tmp_path))
 
 
