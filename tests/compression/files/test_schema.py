@@ -3,6 +3,7 @@
 import contextlib
 import copy
 import io
+import json
 import math
 import random
 import time
@@ -13,7 +14,9 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.codec import lanes
+from slepian_prt.compression.files import container
 from slepian_prt.compression.files.array_schema import ARRAYS
+from slepian_prt.compression.files.container import Contents
 from slepian_prt.compression.files.manifest import LARGEST_BANDLIMIT
 from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.stream import compress
@@ -164,6 +167,31 @@ def test_json_that_is_deep_long_or_none(files, tmp_path):
         good.replace(b'"bumpy"', b'"\\ud800"'),
     ):
         refused(pack(spoilt, arrays), tmp_path / "a.prt", "damaged|do not fit")
+
+
+def of_equal_parts(manifest, count):
+    """A manifest of so many triangles."""
+    triangle = {"vertices": 3, "faces": 1, "sides": 1, "shift": 0, "first": [0, 0, 0], "draco": 0, "loose": 3}
+    triangle |= {"loose_faces": 1, "landmarks": [[0, 1, 2], [0, 1, 2]]}
+    mesh = manifest["mesh"] | {"pieces": [triangle] * count}
+    return manifest | {"parts": [["leaf", 3 * k, 3, 1] for k in range(count)], "mesh": mesh}
+
+
+@pytest.mark.parametrize("indent", [1, None])
+def test_manifests_of_very_many_equal_parts_are_read(indent, files, tmp_path):
+    """Which deflate 80 times where they are indented, as files were written once."""
+    manifest, _ = unpack(files["coded"])
+    path, many = tmp_path / "a.prt", of_equal_parts(manifest, 12_000)
+    if indent:
+        path.write_bytes(pack(json.dumps(many, indent=indent).encode(), {}))
+    else:
+        container.write(path, {key: many[key] for key in many if key not in ("format", "version", "arrays")}, {})
+    assert len(Contents(path).manifest["parts"]) == 12_000
+    with zipfile.ZipFile(path) as archive:
+        found = archive.getinfo("manifest.json")
+        assert found.file_size > 2 << 20 if indent else found.file_size < 160 * 12_000
+    with memory_limited(1 << 20), pytest.raises(UserError, match="memory"):
+        Contents(path)
 
 
 # --- Memory and time -------------------------------------------------------------------------------------------------
