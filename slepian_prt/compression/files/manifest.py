@@ -28,7 +28,7 @@ LARGEST_NUMBER = 2.0**64
 
 _FURTHEST_PLACE = 1 << 52
 _FINEST_SHIFT = 36
-_MOST_CAPS = 1 << 16
+_MOST_CAPS = 1 << 16  # 4096 clusters of 16 occlusion classes
 _LARGEST_FILM = 1 << 16
 _MOST_PIXELS = 1 << 28
 _TABLE = 256
@@ -248,6 +248,9 @@ def _relate(manifest: Manifest) -> None:
         ends.append(part.first + part.sides * part.count)
     if ends[-1] > _MOST:
         raise ValueError(f"{ends[-1]} vertices")
+    vertices = manifest.film.width * manifest.film.height if isinstance(manifest.film, StoredFilm) else ends[-1]
+    if manifest.caps > vertices:  # each held one when it was made
+        raise ValueError(f"{manifest.caps} caps of {vertices} vertices")
     if isinstance(manifest.mesh, StoredMesh):
         _relate_mesh(manifest, manifest.mesh)
     if isinstance(manifest.film, StoredFilm):

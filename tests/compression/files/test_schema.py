@@ -22,6 +22,7 @@ from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.machine.memory import memory_limited
+from slepian_prt.relighting.factors import all_factors
 from slepian_prt.relighting.relight import relight
 from slepian_prt.transport import settings
 from slepian_prt.transport.transfer import precompute
@@ -118,6 +119,16 @@ def test_caps_that_hold_no_vertex(files, tmp_path):
     names = {"arrays": list(arrays)}
     (tmp_path / "a.prt").write_bytes(pack(manifest | names, {**arrays, "coded/caps": table, "clusters/index": index}))
     used(tmp_path / "a.prt")
+    sizes = [len(part.functions) for part in all_factors(load(tmp_path / "a.prt"))]
+    assert sizes[0] > 0
+    assert not any(sizes[1:])  # so that it takes no time
+
+
+def test_more_caps_than_vertices(files, tmp_path):
+    """Preparing 20,000 caps of bandlimit 50 takes minutes: the mesh has to be as large."""
+    manifest, arrays = unpack(files["coded"])
+    vertices = sum(count * sides for _, _, count, sides in manifest["parts"])
+    refused(pack(manifest | {"caps": vertices + 1}, arrays), tmp_path / "a.prt", f"caps of {vertices} vertices")
 
 
 def places(value, path=()):
