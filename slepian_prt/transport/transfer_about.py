@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import LARGEST_COORDINATE
-from slepian_prt.scene.view import View
+from slepian_prt.scene.view import View, check_view
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.settings import LARGEST_BANDLIMIT
@@ -112,16 +112,9 @@ def read_about(text: str) -> dict[str, Any]:
             raise ValueError("parts do not follow each other")
         ends.append(part.first + part.sides * part.count)
     if about.view is not None:
-        _check_view(about.view)
+        check_view(about.view)
     plain: dict[str, Any] = msgspec.to_builtins(about)
     return plain
-
-
-def _check_view(view: View) -> None:
-    matrix = np.array(view.to_world, dtype=np.float64)
-    sizes = min(view.width, view.height), max(view.width, view.height)
-    if matrix.shape != (4, 4) or not 0.0 < view.fov < 180.0 or not 1 <= sizes[0] <= sizes[1] <= 1 << 16:
-        raise ValueError("camera")
 
 
 def _decode(decoder: Any, text: str) -> Any:
