@@ -118,11 +118,14 @@ def all_factors(packed: CompressedTransfer) -> list[Factors]:
     maker = _Maker(packed)
     # Threads of BLAS that wait for each other make many small problems slow, by minutes on a busy machine.
     with one_blas_thread():
-        parts = [maker.of_cap(c, coefficients) for c, coefficients in enumerate(decoded)]
+        parts = [
+            maker.of_cap(c, coefficients) if len(coefficients.values) else maker.of_none()
+            for c, coefficients in enumerate(decoded)
+        ]
         if packed.coded is not None:
             error = packed.predicted_error_under_prior
             parts = drop_least(parts, _LEFT_OUT * (packed.predicted_error if error is None else error))
-        return [maker.in_world(c, part) for c, part in enumerate(parts)]
+        return [maker.in_world(c, part) if len(part.functions) else part for c, part in enumerate(parts)]
 
 
 class _Maker:
@@ -140,6 +143,11 @@ class _Maker:
         self._functions: dict[bytes, NDArray[np.float64]] = {}
         self._means: dict[tuple[int, float], MeanFunctions] = {}
         self._joints: dict[tuple[int, int], Joint] = {}
+
+    def of_none(self) -> Factors:
+        """Those of a cap that holds no vertex: no functions."""
+        shape = 0, len(self._mixing), num_coefficients(self._packed.bandlimit)
+        return Factors(np.zeros((0, 0), np.float32), np.zeros(shape, np.float32))
 
     def of_cap(self, c: int, coefficients: CapCoefficients) -> Factors:
         """One cap's factors, the mean transfer among them."""

@@ -220,7 +220,9 @@ def transfer_operator(packed: CompressedTransfer) -> TransferOperator:
     """
 
     def make() -> TransferOperator:
-        made = TransferOperator(all_factors(packed), packed.clusters.members)
+        pairs = zip(all_factors(packed), packed.clusters.members, strict=True)
+        parts, members = zip(*((part, own) for part, own in pairs if own.size), strict=True)
+        made = TransferOperator(parts, members)
         forget(packed)  # what was decoded is as large as what was made of it
         return made
 

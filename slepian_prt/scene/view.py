@@ -22,6 +22,13 @@ _FRAMING_FOV = 28.0
 _MARGIN = 0.04
 _COSINE, _SINE = math.cos(math.radians(10.0)), math.sin(math.radians(10.0))
 
+# Of a picture: along each side, and in all.
+LARGEST_SIDE, MOST_PIXELS = 1 << 16, 1 << 28
+
+# Distances that float32 holds, and how far from orthonormal axes may be in Mitsuba, which refuses others.
+_NEAREST, _FURTHEST = 2.0**-126, 1e38
+_RIGID = 1.2e-3
+
 # Directions closer to each other than this leave no sense of what is up.
 _PARALLEL = 1e-6
 
@@ -59,6 +66,34 @@ class View:
     def as_dict(self) -> dict[str, Any]:
         """The attributes by name, for files."""
         return asdict(self)
+
+
+def check_view(view: Any) -> None:
+    """Raise ValueError for a view that Mitsuba makes no camera of, or no picture can be drawn of.
+
+    Parameters
+    ----------
+    view : object with the attributes of `View`
+    """
+    if not 0.0 < np.float32(view.fov) < 180.0:
+        raise ValueError("fov of the view")
+    if not 1 <= min(view.width, view.height) <= max(view.width, view.height) <= LARGEST_SIDE:
+        raise ValueError("sides of the view")
+    if view.width * view.height > MOST_PIXELS:
+        raise ValueError(f"a view of {view.width} x {view.height} pixels")
+    if (
+        not _NEAREST
+        <= np.float32(min(view.near, _FURTHEST))
+        < np.float32(min(view.far, 2.0 * _FURTHEST))
+        < 1.5 * _FURTHEST
+    ):
+        raise ValueError("clipping distances of the view")
+    matrix = np.array(view.to_world, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.abs(matrix).max() <= _FURTHEST or not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise ValueError("matrix of the view")
+    axes = matrix[:3, :3]
+    if np.abs(axes).max() > 2.0 or np.abs(axes.T @ axes - np.eye(3)).max() > _RIGID:
+        raise ValueError("axes of the view, which have to be orthonormal")
 
 
 @dataclass(frozen=True)
@@ -231,7 +266,7 @@ def _clip(origin: NDArray[np.float64], points: NDArray[np.float64]) -> tuple[flo
 
 
 def view_of(mi: Any, sensor: Any) -> View | None:
-    """A scene's own camera, or None if it is not a plain perspective one."""
+    """A scene's own camera, or None if it is not a plain perspective one, or `check_view` refuses it."""
     if sensor is None or sensor.class_name() != "PerspectiveCamera":
         return None
     parameters = mi.traverse(sensor)
@@ -240,12 +275,17 @@ def view_of(mi: Any, sensor: Any) -> View | None:
     if any(shifted) or [int(n) for n in sensor.film().crop_size()] != [columns, rows]:
         return None  # cropped, or with a shifted lens
     matrix = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-    return View(
+    view = View(
         sensor.id(),
         matrix.tolist(),
         float(np.ravel(parameters["x_fov"])[0]),
         columns,
         rows,
         float(parameters["near_clip"]),
-        float(parameters["far_clip"]),
+        min(float(parameters["far_clip"]), _FURTHEST),
     )
+    try:
+        check_view(view)
+    except ValueError:
+        return None
+    return view

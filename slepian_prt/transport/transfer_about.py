@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slepian_prt.scene.left_out import LeftOut
 from slepian_prt.scene.mesh import LARGEST_COORDINATE
-from slepian_prt.scene.view import View
+from slepian_prt.scene.view import LARGEST_SIDE, MOST_PIXELS, View, check_view
 from slepian_prt.sphere.harmonics import num_coefficients
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.json_text import with_characters
@@ -26,7 +26,8 @@ _LARGEST_NUMBER = 2.0**64
 _MOST = (1 << 31) - 1
 
 Count = Annotated[int, Meta(ge=0, le=_MOST)]
-Whole = Annotated[int, Meta(ge=0)]
+Whole = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
+Side = Annotated[int, Meta(ge=1, le=LARGEST_SIDE)]
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
 
 
@@ -55,10 +56,10 @@ class StoredFilm(Struct):
     """Of the camera whose pixels the receivers are."""
 
     name: str
-    width: Annotated[int, Meta(ge=1, le=1 << 16)]
-    height: Annotated[int, Meta(ge=1, le=1 << 16)]
+    width: Side
+    height: Side
     crop: Annotated[list[Count], Meta(min_length=2, max_length=2)]
-    size: Annotated[list[Count], Meta(min_length=2, max_length=2)]
+    size: Annotated[list[Side], Meta(min_length=2, max_length=2)]
 
 
 class StoredPart(Struct, array_like=True):
@@ -75,7 +76,7 @@ class About(Struct):
 
     bandlimit: Annotated[int, Meta(ge=0, le=LARGEST_BANDLIMIT)]
     samples: Whole
-    seed: Whole
+    seed: Annotated[int, Meta(ge=0)]
     bounces: Whole
     rays_traced: Whole
     seconds: dict[str, Finite]
@@ -90,7 +91,7 @@ class About(Struct):
     view: View | None
     environment: StoredLight | None
     parameters: dict[str, Any] | UnsetType = UNSET
-    noise: Finite | UnsetType | None = UNSET
+    noise: Annotated[float, Meta(ge=0.0, le=1e100)] | UnsetType | None = UNSET
     fixed: StoredLamps | UnsetType = UNSET
     film: StoredFilm | UnsetType = UNSET
 
@@ -112,17 +113,12 @@ def read_about(text: str) -> dict[str, Any]:
         if part.first != ends[-1]:
             raise ValueError("parts do not follow each other")
         ends.append(part.first + part.sides * part.count)
+    if isinstance(about.film, StoredFilm) and about.film.width * about.film.height > MOST_PIXELS:
+        raise ValueError(f"a film of {about.film.width} x {about.film.height} pixels")
     if about.view is not None:
-        _check_view(about.view)
+        check_view(about.view)
     plain: dict[str, Any] = msgspec.to_builtins(about)
     return plain
-
-
-def _check_view(view: View) -> None:
-    matrix = np.array(view.to_world, dtype=np.float64)
-    sizes = min(view.width, view.height), max(view.width, view.height)
-    if matrix.shape != (4, 4) or not 0.0 < view.fov < 180.0 or not 1 <= sizes[0] <= sizes[1] <= 1 << 16:
-        raise ValueError("camera")
 
 
 def _decode(decoder: Any, text: str) -> Any:
@@ -173,12 +169,16 @@ class Shapes:
 
     def __init__(self, about: dict[str, Any]) -> None:
         self._sizes = {"L+1": about["bandlimit"] + 1, "M": num_coefficients(about["bandlimit"])}
+        # Where parts end, and in a film, whose pixels are of none, all.
+        self._ends = [0, *(first + sides * count for _, first, count, sides in about["parts"])]
         if "fixed" in about:
             self._sizes["lamps"] = len(about["fixed"]["names"])
             if len(about["fixed"]["kinds"]) != self._sizes["lamps"]:
                 raise ValueError("kinds of lamps")
         if "film" in about:
             self._sizes["V"] = about["film"]["width"] * about["film"]["height"]
+        else:
+            self._sizes["V"] = self._ends[-1]
 
     def expect(self, name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
         """Raise ValueError for an array of another type or shape."""
@@ -202,11 +202,17 @@ class Shapes:
         if name == "faces":
             low, high = 0.0, float(self._sizes["V"] - 1)
         else:
-            high = LARGEST_COORDINATE if name == "positions" else _LARGEST_NUMBER
+            high = _LARGEST.get(name, _LARGEST_NUMBER)
             low = -high
         if not low <= float(array.min()) <= float(array.max()) <= high:  # nor NaN
             raise ValueError(f"{name} outside of [{low:g}, {high:g}]")
+        if name == "faces" and self._ends[-1] == self._sizes["V"]:
+            owner = np.searchsorted(self._ends, array, side="right")
+            if np.any(owner != owner[:, :1]):
+                raise ValueError("faces that join two parts")
 
+
+_LARGEST = {"positions": LARGEST_COORDINATE, "fixed_directions": 1.001}
 
 # A scene may have no lamps, and a sky no sun.
 _MAY_BE_EMPTY = (

@@ -158,3 +158,58 @@ def test_what_is_not_such_a_file(tmp_path):
     for name, message in (("none.npz", "no such file"), ("", "is a folder")):
         with pytest.raises(sp.UserError, match=message):
             sp.load_transfer(tmp_path / name)
+
+
+CHANGES = {
+    "none": {"parts": []},
+    "fewer": {"parts": [["a", 0, 10, 1]]},
+    "more": {"parts": [["a", 0, 1 << 30, 1]]},
+    "split": {"parts": [["a", 0, 20, 1], ["b", 20, 22, 1]]},
+    "bounces": {"bounces": 10**30},
+    "noise": {"noise": -1.0},
+    "view": {"view": {"name": "v", "to_world": np.zeros((4, 4)).tolist(), "fov": 40.0, "width": 8, "height": 8,
+                      "near": 0.1, "far": 5.0}},
+    "behind": {"view": {"name": "v", "to_world": np.eye(4).tolist(), "fov": 40.0, "width": 8, "height": 8,
+                        "near": 5.0, "far": 0.1}},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """The arrays of a file, and what is told of them."""
+    path = tmp_path_factory.mktemp("small") / "kept.npz"
+    sp.precompute(bumpy(1), 1, 16).save(path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    return arrays, json.loads(str(arrays["about"]))
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_is_told_does_not_fit_the_arrays_or_cannot_be(name, small, tmp_path):
+    arrays, about = small
+    np.savez(tmp_path / "a.npz", **{**arrays, "about": np.array(json.dumps(about | CHANGES[name]))})
+    with pytest.raises(sp.UserError, match="cut short or damaged"):
+        sp.load_transfer(tmp_path / "a.npz")
+
+
+def test_lamps_and_films_that_cannot_be(small, tmp_path):
+    arrays, about = small
+    count = len(arrays["positions"])
+    lamps = {f"fixed_{name}": np.ones((1, count, 3)) for name in ("direct", "bounced")}
+    lamps |= {"fixed_emitted": np.ones((1, 3)), "fixed_directions": np.full((1, 3), 1e18)}
+    told = about | {"fixed": {"names": ["a"], "kinds": ["point"]}}
+    np.savez(tmp_path / "a.npz", **{**arrays, **lamps, "about": np.array(json.dumps(told))})
+    with pytest.raises(sp.UserError, match="fixed_directions outside"):
+        sp.load_transfer(tmp_path / "a.npz")
+    film = {"name": "f", "width": count, "height": 1, "crop": [0, 0], "size": [0, 0]}
+    np.savez(tmp_path / "a.npz", **{**arrays, "about": np.array(json.dumps(about | {"film": film}))})
+    with pytest.raises(sp.UserError, match="size"):
+        sp.load_transfer(tmp_path / "a.npz")
+
+
+def test_backs_that_are_not_their_fronts_turned_round(small, tmp_path):
+    arrays, about = small
+    half = len(arrays["positions"]) // 2
+    np.savez(tmp_path / "a.npz", **{**arrays, "about": np.array(json.dumps(about | {"parts": [["a", 0, half, 2]]}))})
+    with pytest.raises(sp.UserError, match="back must be"):
+        sp.compress(sp.load_transfer(tmp_path / "a.npz"), clusters=2)

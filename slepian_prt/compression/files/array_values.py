@@ -155,6 +155,12 @@ def check_orders(known: Known, array: NDArray) -> None:
     """Orders of functions."""
     if np.abs(array.astype(np.int64)).max(initial=0) >= known.sizes["L+1"]:
         raise ValueError("orders above the bandlimit")
+    owner = np.repeat(np.arange(known.sizes["families"]), known.arrays["radial/count"].astype(np.int64))
+    span, bands = 2 * known.sizes["L+1"], known.sizes["L+1"]
+    each = owner * span + array + bands
+    used, counts = np.unique(each, return_counts=True)
+    if np.any(counts > bands - np.abs(used % span - bands)):
+        raise ValueError("more functions of an order than there are")
 
 
 def check_repeats(known: Known, array: NDArray) -> None:

@@ -32,7 +32,7 @@ from slepian_prt.transport.json_text import with_characters, write_json
 
 # A manifest is no longer, and only so many times longer than it is packed, but for short ones: those of thousands of
 # shapes that are alike are 80 times as long.
-_LARGEST_MANIFEST, _SMALL_MANIFEST, _RATIO = 1 << 26, 1 << 20, 128
+_LARGEST_MANIFEST, _SMALL_MANIFEST, _RATIO = 1 << 27, 1 << 20, 128
 
 # From this length on it is written without blanks. Read, a byte of it takes so many.
 _LONG_MANIFEST, _TAKEN = 1 << 24, 32
@@ -109,7 +109,7 @@ class Contents:
             packed = members["manifest.json"]
             most = min(_LARGEST_MANIFEST, _SMALL_MANIFEST + _RATIO * packed.compress_size)
             if packed.file_size > _SMALL_MANIFEST:
-                check_memory(_TAKEN * packed.file_size, f"{path}", "precompute it again with fewer shapes")
+                check_memory(_TAKEN * min(packed.file_size, most), f"{path}", "precompute it again with fewer shapes")
             content = with_characters(read_member(archive, packed, most))
             self.sizes = _sizes(archive)
             self._check_version(*begin_of(content))

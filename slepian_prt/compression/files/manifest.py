@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
+from slepian_prt.scene.view import LARGEST_SIDE, MOST_PIXELS, check_view
+
 FORMAT = "slepian_prt transfer"
 VERSION = 3
 
@@ -28,15 +30,13 @@ LARGEST_NUMBER = 2.0**64
 
 _FURTHEST_PLACE = 1 << 52
 _FINEST_SHIFT = 36
-_MOST_CAPS = 1 << 16
-_LARGEST_FILM = 1 << 16
-_MOST_PIXELS = 1 << 28
+_MOST_CAPS = 1 << 16  # 4096 clusters of 16 occlusion classes
 _TABLE = 256
 
 Text = Annotated[str, Meta(max_length=1 << 16)]
 Count = Annotated[int, Meta(ge=0, le=_MOST)]
 Whole = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
-Side = Annotated[int, Meta(ge=1, le=_LARGEST_FILM)]
+Side = Annotated[int, Meta(ge=1, le=LARGEST_SIDE)]
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Power = Annotated[float, Meta(ge=0.0, le=1e100)]
 Number = Annotated[float, Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
@@ -233,6 +233,8 @@ def _relate(manifest: Manifest) -> None:
             raise ValueError(f"{name} has {len(getattr(manifest, name))} degrees of bandlimit {manifest.bandlimit}")
     if min(manifest.expected_lost) < -1e-6 * sum(manifest.expected_total):  # but for rounding
         raise ValueError("expected_lost is negative")
+    if manifest.view is not None:
+        check_view(manifest.view)
     if len(set(manifest.arrays)) != len(manifest.arrays):
         raise ValueError("an array is named twice")
     if manifest.coding == "coded" and manifest.step <= 0.0:
@@ -248,11 +250,14 @@ def _relate(manifest: Manifest) -> None:
         ends.append(part.first + part.sides * part.count)
     if ends[-1] > _MOST:
         raise ValueError(f"{ends[-1]} vertices")
+    vertices = manifest.film.width * manifest.film.height if isinstance(manifest.film, StoredFilm) else ends[-1]
+    if manifest.caps > vertices:  # each held one when it was made
+        raise ValueError(f"{manifest.caps} caps of {vertices} vertices")
     if isinstance(manifest.mesh, StoredMesh):
         _relate_mesh(manifest, manifest.mesh)
     if isinstance(manifest.film, StoredFilm):
         film = manifest.film
-        if film.width * film.height > _MOST_PIXELS or ends[-1] > film.width * film.height:
+        if film.width * film.height > MOST_PIXELS or ends[-1] > film.width * film.height:
             raise ValueError(f"a film of {film.width} x {film.height} pixels with parts of {ends[-1]}")
         if len(film.noise_power) != bands:
             raise ValueError("noise_power of the film")

@@ -13,6 +13,7 @@ from slepian_prt.compression.stored_mesh import connectivity
 from slepian_prt.compression.stored_mesh.connectivity import Coded
 from slepian_prt.compression.stored_mesh.lattice import Lattice, find_lattices
 from slepian_prt.compression.stored_mesh.planes import from_planes, to_planes
+from slepian_prt.errors import UserError
 from slepian_prt.scene.mesh import Mesh
 from slepian_prt.scene.scene import Part
 
@@ -58,17 +59,19 @@ def cut(mesh: Mesh, parts: Sequence[Part]) -> list[Piece]:
 
     Raises
     ------
-    ValueError
+    UserError
         Parts that are not all of the mesh, one after the other; faces between two parts; a back that is not the front
         turned round.
     """
     ends = [0, *(part.end for part in parts)]
     if [part.first for part in parts] != ends[:-1] or ends[-1] != len(mesh.positions):
-        raise ValueError("the parts of a mesh must follow each other and hold all its vertices")
+        raise UserError(
+            "the parts of a mesh must follow each other and hold all its vertices; precompute the transfer again"
+        )
     faces = mesh.faces.astype(np.int64)
     owner = np.searchsorted(ends, faces, side="right") - 1
     if np.any(owner != owner[:, :1]):
-        raise ValueError("no face may join two parts of a mesh")
+        raise UserError("no face may join two parts of a mesh; precompute the transfer again")
     order = np.argsort(owner[:, 0], kind="stable")
     split = np.split(faces[order], np.cumsum(np.bincount(owner[:, 0], minlength=len(parts)))[:-1])
     fronts = [_front(mesh, part, own) for part, own in zip(parts, split, strict=True)]
@@ -198,9 +201,11 @@ def _front(mesh: Mesh, part: Part, faces: NDArray[np.int64]) -> NDArray[np.int64
     turned = (back - part.count)[:, ::-1]
     same = len(front) == len(back) and np.all((faces >= middle) == behind[:, None])
     if not (same and np.all(_sorted(front) == _sorted(turned))):
-        raise ValueError("the faces of a back must be those of the front turned round")
+        raise UserError("the faces of a back must be those of the front turned round; precompute the transfer again")
     if not np.all(mesh.positions[part.first : middle] == mesh.positions[middle : part.end]):
-        raise ValueError("the vertices of a back must be at the places of those of the front")
+        raise UserError(
+            "the vertices of a back must be at the places of those of the front; precompute the transfer again"
+        )
     return front
 
 

@@ -60,7 +60,7 @@ def store_mesh(mesh: Mesh, parts: Sequence[Part], *, exact: bool = False) -> Sto
 
     Raises
     ------
-    ValueError
+    UserError
         The parts do not fit the mesh.
     """
     known = _stored.of(mesh.receivers, dict)

@@ -14,14 +14,17 @@ import numpy as np
 import pytest
 
 from slepian_prt.compression.codec import lanes
-from slepian_prt.compression.files import stored_transfer
+from slepian_prt.compression.files import container, stored_transfer
 from slepian_prt.compression.files.array_schema import ARRAYS
+from slepian_prt.compression.files.container import Contents
 from slepian_prt.compression.files.manifest import LARGEST_BANDLIMIT, read_manifest
 from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.machine.memory import memory_limited
+from slepian_prt.relighting.factors import all_factors
 from slepian_prt.relighting.relight import relight
+from slepian_prt.scene.view import look_matrix
 from slepian_prt.transport import settings
 from slepian_prt.transport.transfer import precompute
 from tests.conftest import bumpy
@@ -127,6 +130,16 @@ def test_caps_that_hold_no_vertex(files, tmp_path):
     names = {"arrays": list(arrays)}
     (tmp_path / "a.prt").write_bytes(pack(manifest | names, {**arrays, "coded/caps": table, "clusters/index": index}))
     used(tmp_path / "a.prt")
+    sizes = [len(part.functions) for part in all_factors(load(tmp_path / "a.prt"))]
+    assert sizes[0] > 0
+    assert not any(sizes[1:])  # so that it takes no time
+
+
+def test_more_caps_than_vertices(files, tmp_path):
+    """Preparing 20,000 caps of bandlimit 50 takes minutes: the mesh has to be as large."""
+    manifest, arrays = unpack(files["coded"])
+    vertices = sum(count * sides for _, _, count, sides in manifest["parts"])
+    refused(pack(manifest | {"caps": vertices + 1}, arrays), tmp_path / "a.prt", f"caps of {vertices} vertices")
 
 
 def places(value, path=()):
@@ -177,6 +190,84 @@ def test_json_that_is_deep_long_or_none(files, tmp_path):
         good.replace(b'"bumpy"', b'"\\ud80"'),
     ):
         refused(pack(spoilt, arrays), tmp_path / "a.prt", "damaged|do not fit")
+
+
+def of_equal_parts(manifest, count):
+    """A manifest of so many triangles."""
+    triangle = {"vertices": 3, "faces": 1, "sides": 1, "shift": 0, "first": [0, 0, 0], "draco": 0, "loose": 3}
+    triangle |= {"loose_faces": 1, "landmarks": [[0, 1, 2], [0, 1, 2]]}
+    mesh = manifest["mesh"] | {"pieces": [triangle] * count}
+    return manifest | {"parts": [["leaf", 3 * k, 3, 1] for k in range(count)], "mesh": mesh}
+
+
+@pytest.mark.parametrize("indent", [1, None])
+def test_manifests_of_very_many_equal_parts_are_read(indent, files, tmp_path):
+    """Which deflate 80 times where they are indented, as files were written once."""
+    manifest, _ = unpack(files["coded"])
+    path, many = tmp_path / "a.prt", of_equal_parts(manifest, 12_000)
+    if indent:
+        path.write_bytes(pack(json.dumps(many, indent=indent).encode(), {}))
+    else:
+        container.write(path, {key: many[key] for key in many if key not in ("format", "version", "arrays")}, {})
+    assert len(Contents(path).manifest["parts"]) == 12_000
+    with zipfile.ZipFile(path) as archive:
+        found = archive.getinfo("manifest.json")
+        assert found.file_size > 2 << 20 if indent else found.file_size < 160 * 12_000
+    with memory_limited(1 << 20), pytest.raises(UserError, match="memory"):
+        Contents(path)
+
+
+VIEW = {"name": "eye", "to_world": np.eye(4).tolist(), "fov": 40.0, "width": 64, "height": 48, "near": 0.1, "far": 9.0}
+
+VIEWS = {
+    "behind": {"near": -1.0},
+    "swapped": {"near": 5.0, "far": 1.0},
+    "endless": {"far": 1e300},
+    "flat": {"fov": 1e-300},
+    "around": {"fov": 179.9999999},
+    "large": {"width": 65536, "height": 65536},
+    "singular": {"to_world": np.zeros((4, 4)).tolist()},
+    "huge": {"to_world": np.full((4, 4), 1e300).tolist()},
+    "scaled": {"to_world": np.diag([2.0, 2.0, 2.0, 1.0]).tolist()},
+    "sheared": {"to_world": [[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+    "projective": {"to_world": np.diag([1.0, 1.0, 1.0, 0.0]).tolist()},
+}
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_views_that_make_no_camera(name, files, tmp_path):
+    manifest, arrays = unpack(files["coded"])
+    refused(pack(manifest | {"view": VIEW | VIEWS[name]}, arrays), tmp_path / "a.prt", "view")
+
+
+def test_views_at_the_edges(files, tmp_path):
+    manifest, arrays = unpack(files["coded"])
+    turn = np.eye(4, dtype=np.float32)
+    turn[:3, :3] = np.float32(look_matrix(np.zeros(3), np.array([1.0, 2.0, 3.0]), "y")[:3, :3])
+    for change in ({"far": 1e38}, {"near": 1e-30}, {"to_world": turn.tolist()}, {"width": 65536, "height": 4096}):
+        (tmp_path / "a.prt").write_bytes(pack(manifest | {"view": VIEW | change}, arrays))
+        assert load(tmp_path / "a.prt").view is not None
+
+
+def test_more_functions_of_an_order_than_there_are(files, tmp_path):
+    """Six of order 5, of which bandlimit 5 has one."""
+    manifest, arrays = unpack(files["float32"])
+    orders = arrays["radial/order"]
+    for order in (5, -5, 0):
+        spoilt = {**arrays, "radial/order": np.full_like(orders, order)}
+        refused(pack(manifest, spoilt), tmp_path / "a.prt", "radial")
+    counts, count = arrays["radial/count"], 8  # of order 0, all the same, which bandlimit 5 has six of
+    assert counts.max() <= 36
+    first = np.zeros(6, arrays["radial/values"].dtype)
+    first[0] = 1.0
+    same = {
+        "radial/count": np.array([count], np.uint16),
+        "radial/family": np.zeros(manifest["caps"], np.uint16),
+        "radial/order": np.zeros(count, np.int16),
+        "radial/repeats": np.packbits([0] + [1] * (count - 1)),
+        "radial/values": first,
+    }
+    refused(pack(manifest, {**arrays, **same}), tmp_path / "a.prt", "more functions of an order than there are")
 
 
 # --- Memory and time -------------------------------------------------------------------------------------------------
