@@ -21,6 +21,9 @@ ENDING = tuple(
 
 _WORDS = {"SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
 
+# Whether the main thread is within `interrupts_held`.
+_holding = False
+
 # What an exception that was lost waits until it is raised once more.
 _SECONDS_AGAIN = 0.05
 
@@ -77,6 +80,41 @@ def end(number: int, _frame: FrameType | None = None) -> None:
             at_once = other == signal.SIGINT or (number == signal.SIGINT and other == signal.SIGTERM)
             signal.signal(other, signal.SIG_DFL if at_once else signal.SIG_IGN)
     raise Ended(number)
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Signals within the block that somebody listens to in Python are heard at its end, where in between they would be
+    lost or hit the wrong; in other threads than the main one, which hear of none, nothing.
+
+    What came counts before an exception of the block, which it may have caused. A second Ctrl-C ends the command at
+    once.
+    """
+    global _holding
+    if _holding or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    # None: a handler of something else than Python.
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    held = {number: handler for number, handler in handlers.items() if callable(handler)}
+    came: list[int] = []
+
+    def hold(number: int, _frame: FrameType | None) -> None:
+        if number == signal.SIGINT and came and held[number] is end:
+            end_at_once(number)
+        came.append(number)
+
+    _holding = True
+    try:
+        for number in held:
+            signal.signal(number, hold)
+        yield
+    finally:
+        _holding = False
+        for number, handler in held.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def end_at_once(number: int) -> None:

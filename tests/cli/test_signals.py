@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from slepian_prt.compression.files.prt_file import load
-from slepian_prt.distributed.interrupts import interrupts_held
+from slepian_prt.signals import interrupts_held
 from tests.distributed.test_crew import wait_until
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -150,7 +150,7 @@ def test_a_second_interrupt_ends_it_at_once_and_what_comes_twice_by_itself_does_
 
 def test_a_second_interrupt_while_they_are_held(tmp_path):
     body = (
-        'from slepian_prt.distributed.interrupts import interrupts_held\nwith interrupts_held():\n    send("SIGINT")\n'
+        'from slepian_prt.signals import interrupts_held\nwith interrupts_held():\n    send("SIGINT")\n'
         '    open("went-on", "w")\n    send("SIGINT")\n    wait()'
     )
     assert outcome(body, tmp_path) == -signal.SIGINT
@@ -160,11 +160,40 @@ def test_a_second_interrupt_while_they_are_held(tmp_path):
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_signals_that_are_held_come_at_the_end(tmp_path, name, status):
     body = (
-        "from slepian_prt.distributed.interrupts import interrupts_held\nwith interrupts_held():\n"
+        "from slepian_prt.signals import interrupts_held\nwith interrupts_held():\n"
         f'    send("{name}")\n    open("went-on", "w")\nwait()'
     )
     assert outcome(body, tmp_path) == status
     assert (tmp_path / "went-on").exists()
+
+
+def test_a_signal_is_heard_when_mitsuba_is_imported(tmp_path):
+    """Within, half of Dr.Jit aborts the process, or is a fault of ours."""
+    body = textwrap.dedent("""\
+        class Signalling:
+            def find_spec(self, name, path=None, target=None):
+                if "drjit" in sys.modules and not sent:
+                    sent.append(name)
+                    send("SIGINT")
+        sent = []
+        sys.meta_path.insert(0, Signalling())
+        from slepian_prt.renderer.variants import imported_mitsuba
+        try:
+            imported_mitsuba()
+        finally:
+            assert sent and "mitsuba.mitsuba_ext" in sys.modules, sent
+        wait()""")
+    assert outcome(body, tmp_path) == 130
+
+
+@pytest.mark.parametrize("way", ["raise ValueError", "sys.exit(1)"])
+def test_a_signal_that_is_held_counts_before_a_fault_that_it_caused(tmp_path, way):
+    body = (
+        "from slepian_prt.signals import interrupts_held\n"
+        'try:\n    with interrupts_held(), interrupts_held():\n        send("SIGTERM")\n'
+        f"        {way}\nexcept Exception:\n    pass"
+    )
+    assert outcome(body, tmp_path) == 143
 
 
 def test_a_signal_in_a_finalizer_is_not_lost(tmp_path):
