@@ -52,6 +52,13 @@ def told(interrupt: BaseException | None) -> str:
     return _WORDS.get(signal.Signals(status_of(interrupt) - 128).name, "interrupted")
 
 
+def last_words(interrupt: BaseException | None) -> str:
+    """What ended the command, and what became of its outputs."""
+    files = sys.modules.get("slepian_prt.files")  # without it nothing is written
+    written = files is not None and files.may_have_written()
+    return f"{told(interrupt)}; {'what was written by then stays' if written else 'nothing was written'}"
+
+
 @contextmanager
 def heard() -> Iterator[None]:
     """Raise `Ended` in the main thread for the first signal that is not ignored, as SIGHUP is under nohup.

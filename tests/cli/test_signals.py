@@ -21,6 +21,8 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 PRECOMPUTE = ["precompute", "ball.ply", "-o", "out.prt", "--bandlimit", "2", "--samples", "16", "--clusters", "4"]
 
+SPECTRUM = ["spectrum", "--bandlimit", "4", "--half-angle", "40", "--json", "x.json", "--plot", "x.png"]
+
 # Each stage, by a function that is called in it.
 STAGES = {
     "tracing": "slepian_prt.compression.tracing.Journal.add",
@@ -102,6 +104,27 @@ def test_under_nohup_a_closed_terminal_ends_nothing(folder):
     _, error = process.communicate(timeout=120)
     assert process.returncode == 0, error
     assert (folder / "out.prt").is_file()
+
+
+SIGNALLED_WHEN_WRITTEN = """
+    import os, signal
+    from slepian_prt import files
+    replace = files._replace
+    def signalled(partial, target):
+        replace(partial, target)
+        os.kill(os.getpid(), signal.SIGINT)
+    files._replace = signalled
+    from slepian_prt.__main__ import main
+    main()
+"""
+
+
+def test_what_is_in_its_place_is_not_said_to_be_unwritten(tmp_path):
+    process = begin(SIGNALLED_WHEN_WRITTEN, tmp_path, *SPECTRUM[:-2])
+    _, error = process.communicate(timeout=60)
+    assert error == "slepian-prt: interrupted; what was written by then stays\n"
+    assert process.returncode == 130
+    assert os.listdir(tmp_path) == ["x.json"]
 
 
 HEARD = """
@@ -213,9 +236,6 @@ def test_handlers_of_others_stay(tmp_path):
     with interrupts_held():
         assert signal.getsignal(signal.SIGTERM) is before[1]  # the system's own
     assert [signal.getsignal(number) for number in numbers] == before
-
-
-SPECTRUM = ["spectrum", "--bandlimit", "4", "--half-angle", "40", "--json", "x.json", "--plot", "x.png"]
 
 
 @pytest.mark.slow
