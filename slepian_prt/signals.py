@@ -21,6 +21,9 @@ ENDING = tuple(
 
 _WORDS = {"SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
 
+# Whether a signal has ended the command, which only tells of it now.
+_ending = False
+
 # Whether the main thread is within `interrupts_held`.
 _holding = False
 
@@ -45,6 +48,11 @@ class Ended(KeyboardInterrupt):
 def status_of(interrupt: BaseException | None) -> int:
     """The exit status of a command that was interrupted, as shells have it."""
     return 128 + int(getattr(interrupt, "number", signal.SIGINT))
+
+
+def is_ending() -> bool:
+    """Whether a signal has ended the command: nothing may wait any more."""
+    return _ending
 
 
 def told(interrupt: BaseException | None) -> str:
@@ -82,6 +90,8 @@ def heard() -> Iterator[None]:
 
 def end(number: int, _frame: FrameType | None = None) -> None:
     """The handler of `heard`."""
+    global _ending
+    _ending = True
     for other in ENDING:
         if signal.getsignal(other) is end:
             at_once = other == signal.SIGINT or (number == signal.SIGINT and other == signal.SIGTERM)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -32,7 +33,14 @@ STAGES = {
 }
 
 
-def begin(code: str, folder: Path, *arguments: str, ignored: tuple[signal.Signals, ...] = ()) -> subprocess.Popen[str]:
+def begin(
+    code: str,
+    folder: Path,
+    *arguments: str,
+    ignored: tuple[signal.Signals, ...] = (),
+    stdout: int = subprocess.PIPE,
+    stderr: int = subprocess.PIPE,
+) -> subprocess.Popen[str]:
     """A Python process in a session of its own, which hears of all signals but those ignored."""
 
     def set_signals() -> None:
@@ -42,12 +50,11 @@ def begin(code: str, folder: Path, *arguments: str, ignored: tuple[signal.Signal
     return subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(code), *arguments],
         cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
         preexec_fn=set_signals,
         env={**os.environ, "SLEPIAN_PRT_CACHE": str(folder / "cache"), "PYTHONPATH": os.pathsep.join(sys.path)},
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams},
     )
 
 
@@ -125,6 +132,42 @@ def test_what_is_in_its_place_is_not_said_to_be_unwritten(tmp_path):
     assert error == "slepian-prt: interrupted; what was written by then stays\n"
     assert process.returncode == 130
     assert os.listdir(tmp_path) == ["x.json"]
+
+
+SIGNALLED_WHEN_BLOCKED = """
+    import os, signal, threading
+    from slepian_prt import streams
+    write = streams._Patient.write
+    def signalled(self, data):
+        if self.fileno() == 1 and not timers:
+            timers.append(threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)))
+            timers[0].start()
+        return write(self, data)
+    timers = []
+    streams._Patient.write = signalled
+    from slepian_prt.__main__ import main
+    main()
+"""
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_a_command_whose_output_nobody_reads_can_be_ended(tmp_path, both):
+    """Standard output, or error too, is a full pipe that is open."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(1 << 12))
+    os.set_blocking(writing, True)
+    streams = {"stdout": writing, **({"stderr": writing} if both else {})}
+    process = begin(SIGNALLED_WHEN_BLOCKED, tmp_path, "spectrum", "--bandlimit", "4", "--half-angle", "40", **streams)
+    try:
+        _, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        os.close(reading), os.close(writing)
+    assert process.returncode == 143
+    assert error == (None if both else "slepian-prt: terminated; nothing was written\n")
 
 
 HEARD = """
@@ -289,3 +332,21 @@ def test_workers_end_with_the_command(tmp_path, number, group):
     _, error = command.communicate(timeout=60)  # what workers do takes half a minute, and is not waited for
     assert (command.returncode, error) == (128 + number, "")
     assert wait_until(lambda: not any(child.is_running() for child in children), 10.0)
+
+
+@pytest.mark.parametrize("command", ["bitmap_module", "prepare_llvm"])
+def test_a_working_folder_that_was_removed_is_a_line(tmp_path, command):
+    """Mitsuba would abort the process when it is imported, and LLVM be taken for one that does not work."""
+    code = f"""
+        import os
+        os.mkdir("gone"), os.chdir("gone"), os.rmdir("../gone")
+        from slepian_prt.errors import UserError
+        from slepian_prt.renderer.variants import {command}
+        try:
+            {command}()
+        except UserError as error:
+            print(error)
+    """
+    process = begin(code, tmp_path)
+    assert process.communicate(timeout=60) == ("the working folder was removed; change to one that is there\n", "")
+    assert process.returncode == 0
