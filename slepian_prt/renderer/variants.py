@@ -125,6 +125,7 @@ def chosen_variant(name: str | None) -> Iterator[None]:
 
 def prepare_llvm() -> str:
     """Point Dr.Jit to an LLVM library that works; must come before the first use of an LLVM variant."""
+    _check_working_folder()
     path, tried = llvm.find()
     if path is None:
         seen = "; ".join(f"{attempt.path} {attempt.failure}" for attempt in tried) or "no libLLVM found"
@@ -195,7 +196,17 @@ def imported_mitsuba() -> ModuleType:
     return _imported()
 
 
+def _check_working_folder() -> None:
+    """Raise UserError where there is none: Mitsuba asks for it when it is imported, and aborts the process."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise UserError("the working folder was removed; change to one that is there") from None
+
+
 def _imported() -> ModuleType:
+    if "mitsuba" not in sys.modules:
+        _check_working_folder()
     if "drjit" not in sys.modules and "DRJIT_LIBLLVM_PATH" not in os.environ:
         # Dr.Jit looks for LLVM once, at the first use of any LLVM variant, also one that the user sets later.
         path, _ = llvm.find()
