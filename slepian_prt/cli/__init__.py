@@ -12,7 +12,7 @@ import click
 
 from slepian_prt.cli.commands import Interrupted, cli, with_flags
 from slepian_prt.cli.messages import note
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, printable
 from slepian_prt.signals import last_words, status_of
 
 __all__ = ["cli", "main"]
@@ -31,7 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     except click.UsageError as error:
         command = error.ctx.command_path if error.ctx else "slepian-prt"
-        return _fail(2, f"{error.format_message().rstrip('.')}; see {command} --help")
+        sentence = " ".join(error.format_message().split()).rstrip(".")  # Click lists choices in lines
+        return _fail(2, f"{sentence}; see {command} --help")
     except click.ClickException as error:
         return _fail(2, error.format_message())
     except (Interrupted, KeyboardInterrupt, click.Abort) as ended:
@@ -56,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(code: int, message: str) -> int:
-    click.echo(f"slepian-prt: {message}", err=True)
+    click.echo(f"slepian-prt: {printable(message)}", err=True)
     return code
 
 

@@ -14,7 +14,7 @@ import click
 from slepian_prt.cli.commands import with_flags
 from slepian_prt.cli.options import file_argument, json_option
 from slepian_prt.cli.values import read_transfer
-from slepian_prt.errors import UserError
+from slepian_prt.errors import UserError, printable
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -45,7 +45,7 @@ def info(file: str, as_json: bool, by_cap: bool, error: float | None) -> None:
     known = {name: value for name, value in (content | _in_words(packed, content)).items() if value is not None}
     width = max(map(len, known)) + 1
     for name, value in known.items():
-        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        text = f"{value:.4g}" if isinstance(value, float) else printable(str(value))
         click.echo(_entry(f"{name:<{width}}", text))
     if packed.effects:
         print_plan(packed.effects)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, TextIO
 import click
 
 from slepian_prt.cli.commands import with_flags
+from slepian_prt.errors import printable
 
 if TYPE_CHECKING:
     from slepian_prt.compression.compressed import CompressedTransfer
@@ -69,6 +70,7 @@ def print_table(headings: Mapping[str, Side], rows: Sequence[Sequence[str]], *, 
     """
     from rich.cells import cell_len
 
+    rows = [[printable(cell) for cell in row] for row in rows]
     cells = dict(zip(headings, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(headings, ())
     whole = {name: max(map(cell_len, [name, *cells[name]])) for name in headings}
     if not _is_terminal(sys.stdout):

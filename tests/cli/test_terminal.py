@@ -1,11 +1,14 @@
 """What a terminal shows: in a pseudo terminal of a given width."""
 
+import logging
 import re
 import subprocess
 import sys
 
 import pytest
 
+from slepian_prt.cli import _remarks, main
+from slepian_prt.cli.messages import note, say
 from slepian_prt.cli.terminal import print_plan, print_table
 from slepian_prt.scene.left_out import GATHERED, LeftOut
 from slepian_prt.transport.effects import Effect
@@ -66,3 +69,23 @@ def test_the_plan_says_what_is_gathered(capsys):
     mirror, media = capsys.readouterr().out.splitlines()[1:]
     assert re.split(r"  +", mirror.strip()) == [rows[0].name, "gathered", "0.250", "none", "why"]
     assert re.split(r"  +", media.strip())[1:3] == ["not simulated", "unknown"]
+
+
+HOSTILE = "\x1b]0;title\x07\x1b[2Ja\r\nb\u202ec\udcff"
+ESCAPED = r"\x1b]0;title\x07\x1b[2Ja\r\nb\u202ec\udcff"
+
+
+def test_names_give_no_commands_to_terminals(capsys, tmp_path):
+    """In results, remarks, tables and errors; those of the library too, which name materials and files."""
+    say(f"{HOSTILE}: done")
+    note(f"texture {HOSTILE}")
+    print_table({"material": "left"}, [[HOSTILE]])
+    with _remarks():
+        logging.getLogger("slepian_prt.scene").info("texture %s counts as white", HOSTILE)
+    name = HOSTILE.replace("/", "")
+    assert main(["info", f"{tmp_path}/{name}.prt"]) == main([name]) == main(["info", f"--{name}"]) == 2
+    printed = capsys.readouterr()
+    for text, count in ((printed.out, 2), (printed.err, 5)):
+        assert text.count(ESCAPED) == count
+        assert text.replace("\n", "").isprintable()
+    assert len(printed.err.splitlines()) == 5
