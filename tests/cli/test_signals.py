@@ -50,11 +50,12 @@ def begin(
     return subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(code), *arguments],
         cwd=folder,
+        stdout=stdout,
+        stderr=stderr,
         text=True,
         start_new_session=True,
         preexec_fn=set_signals,
         env={**os.environ, "SLEPIAN_PRT_CACHE": str(folder / "cache"), "PYTHONPATH": os.pathsep.join(sys.path)},
-        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **streams},
     )
 
 
