@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 
-from slepian_prt.signals import heard, status_of, told
+from slepian_prt.signals import heard, last_words, status_of
 from slepian_prt.streams import kept_streams
 
 
@@ -15,7 +15,7 @@ def main() -> None:
             status = _run()
     except KeyboardInterrupt as interrupt:
         status = status_of(interrupt)
-        _tell(f"{told(interrupt)}; nothing was written")
+        _tell(last_words(interrupt))
     sys.exit(status)
 
 

@@ -40,6 +40,9 @@ _MOST_LINKS = 40
 
 _UNFINISHED = re.compile(r"\.[0-9a-f]{16}\.part")
 
+# Whether this process has put an output into its place, or was about to.
+_has_placed = False
+
 # Of what is opened by us alone: no link is followed, and no child inherits it.
 PRIVATE_FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 
@@ -78,6 +81,11 @@ def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def may_have_written() -> bool:
+    """Whether this process has put an output into its place, or was just about to; False where it is known not to."""
+    return _has_placed
 
 
 def forget_partial(path: str | Path) -> None:
@@ -193,6 +201,7 @@ def add_line(path: Path, line: str) -> None:
             if torn:
                 file.seek(-1, os.SEEK_END)
                 torn = file.read(1) != b"\n"
+            _note_placed()
             content = ("\n" * torn + line + "\n").encode()
             while content:
                 content = content[file.write(content) :]
@@ -302,7 +311,15 @@ def _replace(partial: Path, target: Path) -> None:
     """Put a file into its place, with the permissions of the one that was there."""
     if target.exists() and os.name == "posix":
         partial.chmod(stat.S_IMODE(target.stat().st_mode))
+    if not _UNFINISHED.search(target.parent.name):
+        _note_placed()
     partial.replace(target)
+
+
+def _note_placed() -> None:
+    """Before it is: a signal may come at any moment."""
+    global _has_placed
+    _has_placed = True
 
 
 def _beginning(name: str) -> str:
@@ -354,6 +371,7 @@ def _staged(folder: Path) -> Iterator[Path]:
 
 def _put_into_place(staged: Path, folder: Path, names: Iterable[str]) -> None:
     if not os.path.lexists(folder):
+        _note_placed()
         try:
             staged.rename(folder)
         except OSError:

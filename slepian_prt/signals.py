@@ -21,6 +21,12 @@ ENDING = tuple(
 
 _WORDS = {"SIGTERM": "terminated", "SIGHUP": "the terminal was closed"}
 
+# Whether a signal has ended the command, which only tells of it now.
+_ending = False
+
+# Whether the main thread is within `interrupts_held`.
+_holding = False
+
 # What an exception that was lost waits until it is raised once more.
 _SECONDS_AGAIN = 0.05
 
@@ -44,9 +50,21 @@ def status_of(interrupt: BaseException | None) -> int:
     return 128 + int(getattr(interrupt, "number", signal.SIGINT))
 
 
+def is_ending() -> bool:
+    """Whether a signal has ended the command: nothing may wait any more."""
+    return _ending
+
+
 def told(interrupt: BaseException | None) -> str:
     """What ended the command, in a word or two."""
     return _WORDS.get(signal.Signals(status_of(interrupt) - 128).name, "interrupted")
+
+
+def last_words(interrupt: BaseException | None) -> str:
+    """What ended the command, and what became of its outputs."""
+    files = sys.modules.get("slepian_prt.files")  # without it nothing is written
+    written = files is not None and files.may_have_written()
+    return f"{told(interrupt)}; {'what was written by then stays' if written else 'nothing was written'}"
 
 
 @contextmanager
@@ -72,11 +90,48 @@ def heard() -> Iterator[None]:
 
 def end(number: int, _frame: FrameType | None = None) -> None:
     """The handler of `heard`."""
+    global _ending
+    _ending = True
     for other in ENDING:
         if signal.getsignal(other) is end:
             at_once = other == signal.SIGINT or (number == signal.SIGINT and other == signal.SIGTERM)
             signal.signal(other, signal.SIG_DFL if at_once else signal.SIG_IGN)
     raise Ended(number)
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Signals within the block that somebody listens to in Python are heard at its end, where in between they would be
+    lost or hit the wrong; in other threads than the main one, which hear of none, nothing.
+
+    What came counts before an exception of the block, which it may have caused. A second Ctrl-C ends the command at
+    once.
+    """
+    global _holding
+    if _holding or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    # None: a handler of something else than Python.
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    held = {number: handler for number, handler in handlers.items() if callable(handler)}
+    came: list[int] = []
+
+    def hold(number: int, _frame: FrameType | None) -> None:
+        if number == signal.SIGINT and came and held[number] is end:
+            end_at_once(number)
+        came.append(number)
+
+    _holding = True
+    try:
+        for number in held:
+            signal.signal(number, hold)
+        yield
+    finally:
+        _holding = False
+        for number, handler in held.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def end_at_once(number: int) -> None:

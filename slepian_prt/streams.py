@@ -1,6 +1,7 @@
 """Standard streams of the command: what nobody reads any more ends no work.
 
-A terminal may be closed, a pipe end, a disk be full, while hours of work go on whose result is a file.
+A terminal may be closed, a pipe end, a disk be full, while hours of work go on whose result is a file. A pipe may be
+full that somebody holds and does not read: there the command waits, until a signal ends it.
 """
 
 from __future__ import annotations
@@ -9,10 +10,13 @@ import contextlib
 import errno
 import io
 import os
+import select
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
+
+from slepian_prt.signals import is_ending
 
 # Who read has gone: EPIPE of pipes, EIO of terminals, ENXIO and ENODEV of devices.
 _GONE = (errno.EPIPE, errno.EIO, errno.ENXIO, errno.ENODEV)
@@ -53,7 +57,7 @@ def kept_streams() -> Iterator[None]:
 
 
 class _Patient(io.FileIO):
-    """Takes all that is written, and keeps the fault of what could not be.
+    """Takes all that is written, and keeps the fault of what could not be; when a signal has come it waits for nobody.
 
     Attributes
     ----------
@@ -66,6 +70,10 @@ class _Patient(io.FileIO):
     def write(self, data: Any) -> int:
         view = memoryview(data).cast("B")
         written: int | None = None
+        if is_ending():
+            if not select.select((), (self,), (), 0)[1]:
+                return view.nbytes
+            view = view[: select.PIPE_BUF]  # for which there is room
         try:
             written = super().write(view)
         except OSError as error:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from slepian_prt import files
 from slepian_prt.errors import UserError
 from slepian_prt.files import add_line, atomic_output, check_writable, complete_folder, write_all
 
@@ -237,3 +238,21 @@ def test_lines_are_added_to_nothing_but_a_file_of_ours(tmp_path):
     with pytest.raises(UserError, match="it is a link"):
         add_line(tmp_path / "lines", "new")
     assert (tmp_path / "precious").read_bytes() == b"old\n"
+
+
+def test_what_is_put_into_place_is_known(tmp_path, monkeypatch):
+    """A folder that is not complete is not in its place, whatever is in it."""
+    monkeypatch.setattr(files, "_has_placed", False)
+    with contextlib.suppress(KeyboardInterrupt), complete_folder(tmp_path / "folder") as folder:
+        write(folder / "a")
+        raise KeyboardInterrupt
+    assert not files.may_have_written()
+    for place in (
+        lambda: write(tmp_path / "a"),
+        lambda: write_all(tmp_path / "new", {"a": b"new"}),
+        lambda: write_all(tmp_path, {"b": b"new"}),
+        lambda: add_line(tmp_path / "lines", "new"),
+    ):
+        monkeypatch.setattr(files, "_has_placed", False)
+        place()
+        assert files.may_have_written()

@@ -13,7 +13,7 @@ import click
 from slepian_prt.cli.commands import Interrupted, cli, with_flags
 from slepian_prt.cli.messages import note
 from slepian_prt.errors import UserError, printable
-from slepian_prt.signals import status_of, told
+from slepian_prt.signals import last_words, status_of
 
 __all__ = ["cli", "main"]
 
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(2, error.format_message())
     except (Interrupted, KeyboardInterrupt, click.Abort) as ended:
         interrupt = ended.__cause__ or ended
-        return _fail(status_of(interrupt), f"{told(interrupt)}; nothing was written")
+        return _fail(status_of(interrupt), last_words(interrupt))
     except OSError as error:  # where no sentence was foreseen for it
         if os.environ.get("SLEPIAN_PRT_DEBUG"):
             traceback.print_exc()

@@ -18,16 +18,22 @@ def _choose(context: click.Context, _option: click.Parameter, name: str | None) 
 
 
 def _limit_threads(context: click.Context, _option: click.Parameter, count: Any) -> None:
-    if count is not None:
+    if count is None:
+        from slepian_prt.machine.threads import thread_count
+
+        thread_count()  # what the variable says, also where nothing comes to ask for it
+    else:
         from slepian_prt.renderer.threads import threads_limited
 
         context.with_resource(threads_limited(count))
 
 
 def _limit_memory(context: click.Context, _option: click.Parameter, size: str | None) -> None:
-    if size is not None:
-        from slepian_prt.machine.memory import memory_limited, parse_size
+    from slepian_prt.machine.memory import limit_given, memory_limited, parse_size
 
+    if size is None:
+        limit_given()
+    else:
         context.with_resource(memory_limited(parse_size(size, "`max_memory`")))
 
 

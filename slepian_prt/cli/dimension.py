@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 # Fewer vertices than these do not tell what happens in a neighbourhood.
 _FEW = 12
 
+# Files of transfer; any other is a model.
+_TRACED = (".prt", ".npz")
+
 # Rows of the plan about surfaces that vertices do not hold, or not all of.
 _OF_SURFACES = ("glossy reflection of ", "mirror reflection of ", "transmission through ", "light received by ")
 
@@ -68,6 +71,7 @@ def dimension(
     from slepian_prt.evaluation.dimension.files import PICTURE, check_dimension_output, write_dimension
     from slepian_prt.evaluation.dimension.limits import remark_on_error
     from slepian_prt.relighting.drawing.pictures import Finish
+    from slepian_prt.relighting.files.wishes import check_source
     from slepian_prt.scene.view import Aim
 
     aim, finish = settings_of(Aim, options), Finish(background)
@@ -77,6 +81,8 @@ def dimension(
     if Path(output).suffix.lower() != PICTURE:
         _note_unused(given, ("width", "background", *_names(Aim)), f"on {Path(output).suffix.lower()} files")
     transfer = _transfer(file, given, options)
+    if Path(file).suffix.lower() in _TRACED:
+        check_source(output, transfer, file)
     with progress("effective dimension", "vertices") as (advance, _):
         result = effective_dimension(transfer, error, neighbourhood, advance=advance)
     remarks = write_dimension(output, transfer, result, width, aim, finish)
@@ -97,7 +103,7 @@ def _transfer(file: str, given: list[str], options: dict[str, Any]) -> Transfer 
 
     names = _names(TransportSettings)
     suffix = Path(file).suffix.lower()
-    if suffix in (".prt", ".npz"):
+    if suffix in _TRACED:
         _note_unused(given, names, f"on transfer that is traced already, as {file} is")
     if suffix == ".prt":
         return read_transfer(file)

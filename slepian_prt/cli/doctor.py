@@ -8,6 +8,7 @@ import click
 
 from slepian_prt.cli.backend import variant_option
 from slepian_prt.cli.options import json_option
+from slepian_prt.errors import printable
 
 
 @click.command()
@@ -24,7 +25,7 @@ def doctor(as_json: bool) -> int:
     else:
         width = max(len(finding.subject) for finding in findings)
         for finding in findings:
-            click.echo(f"{'ok ' if finding.ok else '!! '} {finding.subject:<{width}}  {finding.value}")
+            click.echo(f"{'ok ' if finding.ok else '!! '} {finding.subject:<{width}}  {printable(finding.value)}")
             if finding.remedy:
                 click.echo(f"    {'':<{width}}  -> {finding.remedy}")
     return 0 if healthy else 2

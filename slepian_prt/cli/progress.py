@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from slepian_prt.errors import printable
+
 # Whose progress the rate is of: workers bring their blocks in bursts, and seldom where they are big.
 _SECONDS = 120.0
 
@@ -47,6 +49,6 @@ def progress_bar(name: str, unit: str) -> Iterator[tuple[Callable[[int, int], No
             if not is_hidden:
                 if task is not None:
                     bar.update(task, visible=False)
-                console.print(Text(what, style="dim"))
+                console.print(Text(printable(what), style="dim"))
 
         yield advance, report

@@ -94,7 +94,7 @@ def relight(
     )  # fmt: skip
     check_output(output, [file, *environment, *([scene] if scene else [])], lights.names, wish, several=lights.several)
     packed = read_transfer(file)
-    check_source(output, packed, file)
+    check_source(output, packed, file, lights.names if lights.several else (), wish.suffix)
     check_film(output, packed, wish)
     series = relight_series(packed, lights, file, note)
     write_relit(output, packed, series, wish, note, file)

@@ -166,10 +166,15 @@ class Journal:
             checksum = zlib.crc32(part, checksum)
         try:
             handle, name = tempfile.mkstemp(dir=self.folder)  # of this process alone
-            with os.fdopen(handle, "wb") as file:
-                for part in (*parts, _CHECKSUM.pack(checksum)):
-                    file.write(part)
-            os.replace(name, self._path(number))
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    for part in (*parts, _CHECKSUM.pack(checksum)):
+                        file.write(part)
+                os.replace(name, self._path(number))
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    os.unlink(name)
+                raise
         except OSError as error:
             raise UserError(
                 f"{self.folder}: cannot be written ({error.strerror or error}); free some space, or set "

@@ -10,7 +10,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from slepian_prt.distributed.interrupts import interrupts_held
+from slepian_prt.signals import interrupts_held
 
 
 @contextmanager

@@ -17,8 +17,8 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slepian_prt.distributed.interrupts import interrupts_held
 from slepian_prt.distributed.quiet import kept_environment
+from slepian_prt.signals import ENDING, interrupts_held
 
 if TYPE_CHECKING:
     from distributed import LocalCluster
@@ -103,10 +103,10 @@ def _kill(cluster: LocalCluster) -> None:
 
 @contextmanager
 def _unheard_by_children() -> Iterator[None]:
-    """Processes that begin in the block, or later from its threads, hear of no Ctrl-C, and here it waits until its end.
+    """Processes that begin in the block, or later from its threads, hear of no signal that ends us, which waits here.
 
-    A terminal interrupts all processes of a command, and tells all when it is closed; it is ours to end those of the
-    cluster.
+    A terminal interrupts all processes of a command, and tells all when it is closed, and batch systems terminate all;
+    it is ours to end those of the cluster.
     """
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
         yield
@@ -114,8 +114,8 @@ def _unheard_by_children() -> Iterator[None]:
     with interrupts_held():
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})  # threads and their children inherit it
         try:
-            resource_tracker.ensure_running()  # which hears of no Ctrl-C, and would undo a mask that it is in
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            resource_tracker.ensure_running()  # which hears of no others, and would undo a mask that they are in
+            signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
             yield
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -9,6 +9,7 @@ uses that. Imports neither Mitsuba nor Dr.Jit.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import glob
 import importlib.metadata
@@ -17,6 +18,7 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,13 +100,8 @@ def probe(path: str) -> Probe:
         return Probe(path, remembered[key])
     failure = _try_in_child(path)
     remembered[key] = failure
-    try:
-        memory.parent.mkdir(parents=True, exist_ok=True)
-        partial = memory.with_name(f"{memory.name}.{os.getpid()}")
-        partial.write_text(json.dumps(remembered, indent=1))
-        partial.replace(memory)
-    except OSError:
-        pass  # a read-only home costs the next start a second, nothing else
+    with contextlib.suppress(OSError):  # a read-only home costs the next start a second, nothing else
+        _remember(memory, remembered)
     return Probe(path, failure)
 
 
@@ -161,6 +158,20 @@ def _fingerprint(path: str) -> str:
 def _memory_file() -> Path:
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     return Path(home) / "slepian_prt" / "llvm.json"
+
+
+def _remember(memory: Path, remembered: dict[str, str]) -> None:
+    """Through a file whose name nobody can foresee, for a folder that others may write to."""
+    memory.parent.mkdir(parents=True, exist_ok=True)
+    handle, partial = tempfile.mkstemp(prefix=f"{memory.name}.", dir=memory.parent)
+    try:
+        with os.fdopen(handle, "w") as file:
+            json.dump(remembered, file, indent=1)
+        os.replace(partial, memory)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(partial)
+        raise
 
 
 def _read_json(path: Path) -> dict[str, str]:

@@ -15,6 +15,7 @@ from slepian_prt.errors import UserError
 from slepian_prt.renderer import llvm
 from slepian_prt.renderer.forks import check_not_forked
 from slepian_prt.renderer.threads import size_pool_once
+from slepian_prt.signals import interrupts_held
 
 # A triangle as well: OptiX traces it by hardware, and the sphere by a program of its own.
 _CUDA_PROBE = """
@@ -109,7 +110,7 @@ def chosen_variant(name: str | None) -> Iterator[None]:
         return
     wanted, mi = _usable(name, "variant"), imported_mitsuba()
     before, given = mi.variant(), os.environ.get("SLEPIAN_PRT_VARIANT")
-    mi.set_variant(wanted)
+    _set_variant(mi, wanted)
     os.environ["SLEPIAN_PRT_VARIANT"] = name
     try:
         yield
@@ -124,6 +125,7 @@ def chosen_variant(name: str | None) -> Iterator[None]:
 
 def prepare_llvm() -> str:
     """Point Dr.Jit to an LLVM library that works; must come before the first use of an LLVM variant."""
+    _check_working_folder()
     path, tried = llvm.find()
     if path is None:
         seen = "; ".join(f"{attempt.path} {attempt.failure}" for attempt in tried) or "no libLLVM found"
@@ -162,7 +164,7 @@ def mitsuba(made_in: str | None = None) -> Iterator[Any]:
     if wanted == before:
         yield mi
         return
-    mi.set_variant(wanted)
+    _set_variant(mi, wanted)
     try:
         yield mi
     finally:
@@ -178,7 +180,7 @@ def bitmap_module() -> ModuleType:
     """Mitsuba with some variant set, enough to read and write pictures; needs no LLVM, and no threads but for EXR."""
     mi = _imported()
     if mi.variant() is None:
-        mi.set_variant("scalar_rgb")
+        _set_variant(mi, "scalar_rgb")
     return mi
 
 
@@ -194,14 +196,31 @@ def imported_mitsuba() -> ModuleType:
     return _imported()
 
 
+def _check_working_folder() -> None:
+    """Raise UserError where there is none: Mitsuba asks for it when it is imported, and aborts the process."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise UserError("the working folder was removed; change to one that is there") from None
+
+
 def _imported() -> ModuleType:
+    if "mitsuba" not in sys.modules:
+        _check_working_folder()
     if "drjit" not in sys.modules and "DRJIT_LIBLLVM_PATH" not in os.environ:
         # Dr.Jit looks for LLVM once, at the first use of any LLVM variant, also one that the user sets later.
         path, _ = llvm.find()
         if path:
             os.environ["DRJIT_LIBLLVM_PATH"] = path
             llvm.load_neighbours(path)
-    import mitsuba
+    with interrupts_held():  # half of Dr.Jit is no module, and what meets it aborts the process
+        import mitsuba
 
     size_pool_once()
     return mitsuba
+
+
+def _set_variant(mi: Any, name: str) -> None:
+    """The first use of a variant imports more of Mitsuba, which no signal may cut short."""
+    with interrupts_held():
+        mi.set_variant(name)

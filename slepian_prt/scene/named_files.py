@@ -50,7 +50,7 @@ def check_output_file(output: str | Path, *sources: str | Path, parameters: Mapp
     """
     check_writable(output, *sources)
     if Path(output).exists():  # else there is nothing to look for, in files that may be large
-        check_other(output, _all_behind(sources, parameters))
+        check_other(output, all_behind(sources, parameters))
 
 
 def check_output_files(
@@ -71,14 +71,15 @@ def check_output_files(
     there = [name for name in os.listdir(folder) if is_written(name)] if folder.is_dir() else []
     if not there:
         return
-    inputs = {_identity(path): path for path in _all_behind(sources, parameters)}
+    inputs = {_identity(path): path for path in all_behind(sources, parameters)}
     for name in there:
         source = inputs.get(_identity(folder / name))
         if source is not None:
             raise UserError(f"{source}: is an input, and a file of the report has this name; choose another folder")
 
 
-def _all_behind(sources: Sequence[str | Path], parameters: Mapping[str, Any] | None) -> list[Path]:
+def all_behind(sources: Sequence[str | Path], parameters: Mapping[str, Any] | None) -> list[Path]:
+    """The sources, the files that parameters of the first name, and all that these name, as far as they are there."""
     named = [find_beside(Path(sources[0]), str(value)) for value in (parameters or {}).values()]
     return [path for source in dict.fromkeys([*sources, *named]) for path in files_behind(Path(source))]
 

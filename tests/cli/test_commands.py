@@ -12,7 +12,7 @@ import click
 import pytest
 
 import slepian_prt
-from slepian_prt.cli import cli
+from slepian_prt.cli import cli, main
 from slepian_prt.cli.commands import COMMANDS, with_flags
 from slepian_prt.cli.options import check_noise, check_width
 from slepian_prt.compression.settings import DEFAULT_TOLERANCE, CompressionSettings
@@ -138,3 +138,17 @@ def test_widths_that_make_no_sense():
 def test_noise_that_makes_no_sense(noise):
     with pytest.raises(UserError, match=r"^noise must be a number in \(0, 1\), not"):
         check_noise(None, None, noise)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("SLEPIAN_PRT_THREADS", "must be a whole number from 1 to 1024, not 'x'"),
+        ("SLEPIAN_PRT_MAX_MEMORY", "must be a size of 1M at least, as 2G or 500M, not 'x'"),
+    ],
+)
+def test_variables_are_looked_at_also_where_nothing_asks_for_them(monkeypatch, capsys, name, said):
+    monkeypatch.setenv(name, "x")
+    assert main(["relight", "a.prt", "-o", "a.npz"]) == 2
+    assert capsys.readouterr().err == f"slepian-prt: {name} {said}\n"
+    assert main(["relight", "--help"]) == 0

@@ -296,3 +296,18 @@ def test_a_mesh_that_the_scene_reads_is_not_overwritten(folder, tmp_path, capsys
         np.frombuffer((folder / "bumpy.ply").read_bytes(), np.uint8),
         "nothing is written",
     )
+
+
+@pytest.mark.parametrize("name", ["ball.ply", "skin.png"])
+def test_what_a_transfer_was_made_from_is_not_overwritten(folder, transfer, tmp_path, capsys, name):
+    """The model, and a texture that it names, which only the transfer knows."""
+    mesh = (folder / "bumpy.ply").read_bytes().replace(b"\n", b"\ncomment TextureFile skin.png\n", 1)
+    contents = {"ball.ply": mesh, "skin.png": b"kept"}
+    for file, content in contents.items():
+        (tmp_path / file).write_bytes(content)
+    replace(transfer, source=str(tmp_path / "ball.ply")).save(tmp_path / "b.npz")
+    assert main(["dimension", str(tmp_path / "b.npz"), "-o", str(tmp_path / name)]) == 2
+    assert capsys.readouterr().err == (
+        f"slepian-prt: {tmp_path / name}: is the input; choose another name for the output\n"
+    )
+    assert all((tmp_path / file).read_bytes() == content for file, content in contents.items())

@@ -166,3 +166,25 @@ def test_an_error_that_the_file_has_itself_is_remarked_on(coarse, capsys):
 def test_errors_that_make_no_sense(coarse, capsys, options, said):
     assert main(["info", str(coarse), *options]) == 2
     assert capsys.readouterr().err == f"slepian-prt: {said}\n"
+
+
+def test_texts_of_a_file_give_no_commands_to_terminals(coarse, capsys):
+    """Whoever made it chose them: what is the model called, how long took what, what is noted."""
+    hostile, escaped = "\x1b]0;title\x07\u202e", r"\x1b]0;title\x07\u202e"
+    packed = load(coarse)
+    effect = replace(packed.effects[0], name=hostile, reason=hostile)
+    texts = {
+        "source": hostile, "notes": (hostile,), "seconds": {hostile: 1.0}, "basis": hostile, "prior": hostile,
+        "lamp_names": (hostile,), "parameters": {hostile: hostile}, "verified": {hostile: 0.1}, "effects": (effect,),
+    }  # fmt: skip
+    shown = SimpleNamespace(
+        **{name: getattr(packed, name) for name in dir(packed) if not name.startswith("__")},
+    )
+    for name, text in texts.items():
+        setattr(shown, name, text)
+    with patch("slepian_prt.cli.info.read_transfer", lambda *_, **__: shown):
+        for arguments in (["info", "x.prt"], ["info", "x.prt", "--json"]):
+            assert main(arguments) == 0
+            printed = capsys.readouterr().out
+            assert printed.replace("\n", "").isprintable()
+            assert arguments[-1] == "--json" or printed.count(escaped) >= len(texts) + 1

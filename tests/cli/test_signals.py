@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -14,12 +15,14 @@ import pytest
 import trimesh
 
 from slepian_prt.compression.files.prt_file import load
-from slepian_prt.distributed.interrupts import interrupts_held
+from slepian_prt.signals import interrupts_held
 from tests.distributed.test_crew import wait_until
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
 PRECOMPUTE = ["precompute", "ball.ply", "-o", "out.prt", "--bandlimit", "2", "--samples", "16", "--clusters", "4"]
+
+SPECTRUM = ["spectrum", "--bandlimit", "4", "--half-angle", "40", "--json", "x.json", "--plot", "x.png"]
 
 # Each stage, by a function that is called in it.
 STAGES = {
@@ -30,7 +33,14 @@ STAGES = {
 }
 
 
-def begin(code: str, folder: Path, *arguments: str, ignored: tuple[signal.Signals, ...] = ()) -> subprocess.Popen[str]:
+def begin(
+    code: str,
+    folder: Path,
+    *arguments: str,
+    ignored: tuple[signal.Signals, ...] = (),
+    stdout: int = subprocess.PIPE,
+    stderr: int = subprocess.PIPE,
+) -> subprocess.Popen[str]:
     """A Python process in a session of its own, which hears of all signals but those ignored."""
 
     def set_signals() -> None:
@@ -40,8 +50,8 @@ def begin(code: str, folder: Path, *arguments: str, ignored: tuple[signal.Signal
     return subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(code), *arguments],
         cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stdout=stdout,
+        stderr=stderr,
         text=True,
         start_new_session=True,
         preexec_fn=set_signals,
@@ -104,6 +114,63 @@ def test_under_nohup_a_closed_terminal_ends_nothing(folder):
     assert (folder / "out.prt").is_file()
 
 
+SIGNALLED_WHEN_WRITTEN = """
+    import os, signal
+    from slepian_prt import files
+    replace = files._replace
+    def signalled(partial, target):
+        replace(partial, target)
+        os.kill(os.getpid(), signal.SIGINT)
+    files._replace = signalled
+    from slepian_prt.__main__ import main
+    main()
+"""
+
+
+def test_what_is_in_its_place_is_not_said_to_be_unwritten(tmp_path):
+    process = begin(SIGNALLED_WHEN_WRITTEN, tmp_path, *SPECTRUM[:-2])
+    _, error = process.communicate(timeout=60)
+    assert error == "slepian-prt: interrupted; what was written by then stays\n"
+    assert process.returncode == 130
+    assert os.listdir(tmp_path) == ["x.json"]
+
+
+SIGNALLED_WHEN_BLOCKED = """
+    import os, signal, threading
+    from slepian_prt import streams
+    write = streams._Patient.write
+    def signalled(self, data):
+        if self.fileno() == 1 and not timers:
+            timers.append(threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)))
+            timers[0].start()
+        return write(self, data)
+    timers = []
+    streams._Patient.write = signalled
+    from slepian_prt.__main__ import main
+    main()
+"""
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_a_command_whose_output_nobody_reads_can_be_ended(tmp_path, both):
+    """Standard output, or error too, is a full pipe that is open."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, bytes(1 << 12))
+    os.set_blocking(writing, True)
+    streams = {"stdout": writing, **({"stderr": writing} if both else {})}
+    process = begin(SIGNALLED_WHEN_BLOCKED, tmp_path, "spectrum", "--bandlimit", "4", "--half-angle", "40", **streams)
+    try:
+        _, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        os.close(reading), os.close(writing)
+    assert process.returncode == 143
+    assert error == (None if both else "slepian-prt: terminated; nothing was written\n")
+
+
 HEARD = """
     import os, signal, sys, time
     from slepian_prt.signals import heard
@@ -150,7 +217,7 @@ def test_a_second_interrupt_ends_it_at_once_and_what_comes_twice_by_itself_does_
 
 def test_a_second_interrupt_while_they_are_held(tmp_path):
     body = (
-        'from slepian_prt.distributed.interrupts import interrupts_held\nwith interrupts_held():\n    send("SIGINT")\n'
+        'from slepian_prt.signals import interrupts_held\nwith interrupts_held():\n    send("SIGINT")\n'
         '    open("went-on", "w")\n    send("SIGINT")\n    wait()'
     )
     assert outcome(body, tmp_path) == -signal.SIGINT
@@ -160,11 +227,40 @@ def test_a_second_interrupt_while_they_are_held(tmp_path):
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
 def test_signals_that_are_held_come_at_the_end(tmp_path, name, status):
     body = (
-        "from slepian_prt.distributed.interrupts import interrupts_held\nwith interrupts_held():\n"
+        "from slepian_prt.signals import interrupts_held\nwith interrupts_held():\n"
         f'    send("{name}")\n    open("went-on", "w")\nwait()'
     )
     assert outcome(body, tmp_path) == status
     assert (tmp_path / "went-on").exists()
+
+
+def test_a_signal_is_heard_when_mitsuba_is_imported(tmp_path):
+    """Within, half of Dr.Jit aborts the process, or is a fault of ours."""
+    body = textwrap.dedent("""\
+        class Signalling:
+            def find_spec(self, name, path=None, target=None):
+                if "drjit" in sys.modules and not sent:
+                    sent.append(name)
+                    send("SIGINT")
+        sent = []
+        sys.meta_path.insert(0, Signalling())
+        from slepian_prt.renderer.variants import imported_mitsuba
+        try:
+            imported_mitsuba()
+        finally:
+            assert sent and "mitsuba.mitsuba_ext" in sys.modules, sent
+        wait()""")
+    assert outcome(body, tmp_path) == 130
+
+
+@pytest.mark.parametrize("way", ["raise ValueError", "sys.exit(1)"])
+def test_a_signal_that_is_held_counts_before_a_fault_that_it_caused(tmp_path, way):
+    body = (
+        "from slepian_prt.signals import interrupts_held\n"
+        'try:\n    with interrupts_held(), interrupts_held():\n        send("SIGTERM")\n'
+        f"        {way}\nexcept Exception:\n    pass"
+    )
+    assert outcome(body, tmp_path) == 143
 
 
 def test_a_signal_in_a_finalizer_is_not_lost(tmp_path):
@@ -184,9 +280,6 @@ def test_handlers_of_others_stay(tmp_path):
     with interrupts_held():
         assert signal.getsignal(signal.SIGTERM) is before[1]  # the system's own
     assert [signal.getsignal(number) for number in numbers] == before
-
-
-SPECTRUM = ["spectrum", "--bandlimit", "4", "--half-angle", "40", "--json", "x.json", "--plot", "x.png"]
 
 
 @pytest.mark.slow
@@ -240,3 +333,21 @@ def test_workers_end_with_the_command(tmp_path, number, group):
     _, error = command.communicate(timeout=60)  # what workers do takes half a minute, and is not waited for
     assert (command.returncode, error) == (128 + number, "")
     assert wait_until(lambda: not any(child.is_running() for child in children), 10.0)
+
+
+@pytest.mark.parametrize("command", ["bitmap_module", "prepare_llvm"])
+def test_a_working_folder_that_was_removed_is_a_line(tmp_path, command):
+    """Mitsuba would abort the process when it is imported, and LLVM be taken for one that does not work."""
+    code = f"""
+        import os
+        os.mkdir("gone"), os.chdir("gone"), os.rmdir("../gone")
+        from slepian_prt.errors import UserError
+        from slepian_prt.renderer.variants import {command}
+        try:
+            {command}()
+        except UserError as error:
+            print(error)
+    """
+    process = begin(code, tmp_path)
+    assert process.communicate(timeout=60) == ("the working folder was removed; change to one that is there\n", "")
+    assert process.returncode == 0

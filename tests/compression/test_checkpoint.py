@@ -164,6 +164,7 @@ def test_a_full_disk_is_one_clear_line(monkeypatch, rng):
         monkeypatch.setattr(stores.os, "replace", full)
         with pytest.raises(UserError, match=r"No space left on device.*SLEPIAN_PRT_CACHE"):
             journal.add(0, block(rng, 4, 0))
+        assert [path.name for path in journal.folder.iterdir()] == ["lock"]
 
 
 # --- Streaming -------------------------------------------------------------------------------------------------------

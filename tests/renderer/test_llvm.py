@@ -71,6 +71,26 @@ def test_a_home_that_cannot_be_written_does_no_harm(tmp_path, monkeypatch):
     assert not llvm.probe(str(fake)).works
 
 
+def test_what_is_remembered_goes_to_no_file_that_others_foresee(memory, tmp_path, monkeypatch):
+    memory.parent.mkdir(parents=True)
+    (tmp_path / "mine").write_text("kept")
+    (memory.parent / f"llvm.json.{os.getpid()}").symlink_to(tmp_path / "mine")
+    fake = tmp_path / "libLLVM.so"
+    fake.write_bytes(b"no library")
+    monkeypatch.setattr(llvm, "_try_in_child", lambda path: "")
+    assert llvm.probe(str(fake)).works
+    assert (tmp_path / "mine").read_text() == "kept"
+    assert memory.is_file()
+    monkeypatch.setattr(llvm.os, "replace", lambda *_: fail_on(28))
+    fake.write_bytes(b"another library")
+    assert llvm.probe(str(fake)).works
+    assert len(list(memory.parent.iterdir())) == 2
+
+
+def fail_on(number: int) -> None:
+    raise OSError(number, os.strerror(number))
+
+
 def test_newest_first(monkeypatch):
     assert llvm._version("/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1") == 19
     assert llvm._version("/usr/lib/llvm-22/lib/libLLVM.so.1") == 22

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from slepian_prt.compression.compressed import CompressedTransfer
 from slepian_prt.errors import UserError
-from slepian_prt.files import check_folder
+from slepian_prt.files import check_folder, check_writable
 from slepian_prt.relighting.drawing.film_pictures import check_taking
 from slepian_prt.relighting.drawing.pictures import TRANSPARENT, Finish
 from slepian_prt.relighting.drawing.taking import Taking
-from slepian_prt.scene.named_files import check_output_file
+from slepian_prt.scene.named_files import all_behind, check_output_file
 from slepian_prt.scene.view import Aim
 
 if TYPE_CHECKING:
@@ -132,22 +132,38 @@ def check_film(output: str, packed: CompressedTransfer, wish: Wish) -> None:
     check_taking(packed.film, wish.taking)
 
 
-def check_source(output: str, packed: CompressedTransfer | Transfer, file: str) -> None:
+def check_source(
+    output: str, packed: CompressedTransfer | Transfer, file: str, names: Sequence[str] = (), suffix: str = ""
+) -> None:
     """Raise UserError if the output is what the transfer file was made from, or a file which that names.
 
     The file holds the path of its source as it was given; if nothing is there, it is looked for beside the file. A mesh
     of the same name may be the source wherever it lies, unless it was written here.
+
+    Parameters
+    ----------
+    output : str
+        A file, or a folder of one for each name, with the suffix.
+    packed : CompressedTransfer or Transfer
+    file : str
+    names : of str
+    suffix : str
     """
-    source, path, folder = Path(packed.source), Path(output), Path(file).parent
-    if not packed.source or not path.is_file():
+    path, folder = Path(output), Path(file).parent
+    written = [path / f"{name}{suffix}" for name in names] if path.is_dir() else [path]
+    there = [path for path in written if path.is_file()]
+    if not packed.source or not there:
         return
+    source = Path(packed.source)
     known = [place for place in (source, folder / source, folder / source.name) if place.is_file()]
-    check_output_file(output, *known[:1])
-    if path.name == source.name and path.suffix.lower() in MESHES and not _is_ours(path):
-        raise UserError(
-            f"{output}: may be the mesh that {file} was made from, and was not written here; choose another name for "
-            "the output, or remove it"
-        )
+    inputs = all_behind(known[:1], packed.parameters) if known else []
+    for path in there:
+        check_writable(path, *inputs)
+        if path.name == source.name and path.suffix.lower() in MESHES and not _is_ours(path):
+            raise UserError(
+                f"{path}: may be the mesh that {file} was made from, and was not written here; choose another name for "
+                "the output, or remove it"
+            )
 
 
 def _is_ours(path: Path) -> bool:

@@ -1,11 +1,13 @@
 """Pictures from Python and from files of transfer: where from, before what, how bright, and which side is lit."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
+from slepian_prt.cli import main
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
 from slepian_prt.lighting.environment import about_up, make_environment
@@ -317,12 +319,26 @@ def test_inputs_are_not_overwritten(ball, tmp_path):
     check_output(str(tmp_path), maps, ["one", "two"], Wish(".png"), several=True)
     with pytest.raises(UserError, match="is the input"):
         check_output(str(tmp_path / "one.exr"), maps[:1], ["one"], Wish(), several=False)
-    from dataclasses import replace
-
     for source in (str(tmp_path / "ball.ply"), "ball.ply", "elsewhere/ball.ply"):
         with pytest.raises(UserError, match="is the input"):
             check_source(str(tmp_path / "ball.ply"), replace(ball, source=source), str(tmp_path / "ball.prt"))
     check_source(str(tmp_path / "other.ply"), replace(ball, source="ball.ply"), str(tmp_path / "ball.prt"))
+
+
+@pytest.mark.parametrize(("name", "suffix"), [("ball", ".ply"), ("skin", ".png")])
+def test_sources_in_a_folder_of_results_are_not_overwritten(ball, tmp_path, capsys, name, suffix):
+    """The mesh that the transfer was made from, and the texture that it names."""
+    (tmp_path / "ball.ply").write_bytes(b"ply\ncomment TextureFile skin.png\nend_header\n")
+    (tmp_path / "skin.png").write_bytes(b"kept")
+    (tmp_path / "other.ply").write_bytes(b"ply\n")
+    made = replace(ball, source="ball.ply")
+    with pytest.raises(UserError, match=f"/{name}{suffix}: is the input"):
+        check_source(str(tmp_path), made, str(tmp_path / "ball.prt"), ("other", name), suffix)
+    check_source(str(tmp_path), made, str(tmp_path / "ball.prt"), ("other", "new"), suffix)
+    made.save(tmp_path / "ball.prt")
+    maps = [part for stem in ("other", name) for part in ("--environment", str(tmp_path / f"{stem}.hdr"))]
+    assert main(["relight", str(tmp_path / "ball.prt"), *maps, "--format", suffix[1:], "-o", str(tmp_path)]) == 2
+    assert "is the input" in capsys.readouterr().err
 
 
 def test_wishes_that_do_not_show_are_told():
