@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 from slepian_prt.errors import UserError
 
+# Characters of a reason, which may quote a value of the scene that is as long as one likes.
+_LONGEST = 400
+
 # "[parser.cpp:1718] " and "[FileStream] ": where in Mitsuba's own source, which says nothing to the user.
 _SOURCE = re.compile(r"\[\w+\.(?:cpp|h):\d+\] ")
 _CLASS = re.compile(r"\[[A-Z]\w+\] ")
@@ -98,6 +101,8 @@ def load_failure(
         kind = "" if plugin["kind"] in ("unknown", plugin["plugin"]) else f"{plugin['kind']} "
         why = f"{kind}'{plugin['plugin']}':{named} {why}"
     where = f"{place.shown}: " if place.shown else ""
+    if len(why) > _LONGEST:
+        why = f"{why[: _LONGEST - 100]} … {why[-97:]}"
     return UserError(f"{origin}: Mitsuba cannot load the scene ({where}{why}); correct it there")
 
 

@@ -275,3 +275,14 @@ def test_the_log_of_mitsuba_is_as_before(scene):
     with open_scene(scene("")):
         assert mi.log_level() == level
     assert_exact(len(mi.file_resolver()), len(resolver), "the folder of the scene is forgotten")
+
+
+def test_a_reason_that_quotes_a_long_value_stays_short(tmp_path):
+    path = tmp_path / "long.xml"
+    path.write_text(f'<scene version="3.0.0"><shape type="{"x" * 5000}"/></scene>')
+    with (
+        pytest.raises(UserError, match=r"Mitsuba cannot load the scene .*x … x.*; correct it there$") as told,
+        open_scene(path),
+    ):
+        pass
+    assert len(str(told.value)) < 400 + 200 + len(str(path))
