@@ -128,7 +128,7 @@ def test_mistakes_in_included_files(scene, tmp_path):
 
 def test_files_that_include_each_other(scene):
     path = scene('<include filename="scene.xml"/>')
-    with pytest.raises(UserError, match=r"line 3: files include each other in a circle\); correct it there$"):
+    with pytest.raises(UserError, match=r"files include each other in a circle\); correct it there$"):
         open_scene(path).__enter__()
 
 
