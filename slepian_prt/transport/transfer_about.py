@@ -25,6 +25,9 @@ _LARGEST_NUMBER = 2.0**64
 
 _MOST = (1 << 31) - 1
 
+# What the length of a direction may be off.
+_UNIT = 1e-3
+
 Count = Annotated[int, Meta(ge=0, le=_MOST)]
 Whole = Annotated[int, Meta(ge=0)]
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
@@ -206,6 +209,16 @@ class Shapes:
             low = -high
         if not low <= float(array.min()) <= float(array.max()) <= high:  # nor NaN
             raise ValueError(f"{name} outside of [{low:g}, {high:g}]")
+        if name == "sky_sun" and not abs(float(np.linalg.norm(array[:3])) - 1.0) < _UNIT:
+            raise ValueError(f"{name} is toward no direction")
+
+
+def check_parts(parts: list[Any], faces: NDArray) -> None:
+    """Raise ValueError where a face (F, 3) joins two parts."""
+    ends = np.cumsum([sides * count for _, _, count, sides in parts], dtype=np.int64)
+    part = np.searchsorted(ends, faces, side="right")
+    if np.any(part != part[:, :1]):
+        raise ValueError("a face joins two parts")
 
 
 # A scene may have no lamps, and a sky no sun.
