@@ -37,10 +37,10 @@ def decode_draco(document: Document, primitive: Entry) -> dict[str, NDArray]:
     if names is None:
         raise extension.fault("has no attributes")
     try:
-        faces, vertices = draco_counts(data)
+        told = draco_counts(data)
     except ValueError as error:
         raise extension.fault(f"cannot be decoded: {error}") from None
-    document.take(_OF_FACE * faces + _OF_VERTEX * vertices)
+    document.take(_OF_FACE * told[0] + _OF_VERTEX * told[1])
     package = importlib.import_module("DracoPy")
     try:
         mesh = package.decode(data)
