@@ -25,6 +25,9 @@ _LARGEST_NUMBER = 2.0**64
 
 _MOST = (1 << 31) - 1
 
+# What the length of a direction may be off.
+_UNIT = 1e-3
+
 Count = Annotated[int, Meta(ge=0, le=_MOST)]
 Whole = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
 Side = Annotated[int, Meta(ge=1, le=LARGEST_SIDE)]
@@ -170,7 +173,7 @@ class Shapes:
     def __init__(self, about: dict[str, Any]) -> None:
         self._sizes = {"L+1": about["bandlimit"] + 1, "M": num_coefficients(about["bandlimit"])}
         # Where parts end, and in a film, whose pixels are of none, all.
-        self._ends = [0, *(first + sides * count for _, first, count, sides in about["parts"])]
+        ends = [0, *(first + sides * count for _, first, count, sides in about["parts"])]
         if "fixed" in about:
             self._sizes["lamps"] = len(about["fixed"]["names"])
             if len(about["fixed"]["kinds"]) != self._sizes["lamps"]:
@@ -178,7 +181,7 @@ class Shapes:
         if "film" in about:
             self._sizes["V"] = about["film"]["width"] * about["film"]["height"]
         else:
-            self._sizes["V"] = self._ends[-1]
+            self._sizes["V"] = ends[-1]
 
     def expect(self, name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
         """Raise ValueError for an array of another type or shape."""
@@ -206,10 +209,16 @@ class Shapes:
             low = -high
         if not low <= float(array.min()) <= float(array.max()) <= high:  # nor NaN
             raise ValueError(f"{name} outside of [{low:g}, {high:g}]")
-        if name == "faces" and self._ends[-1] == self._sizes["V"]:
-            owner = np.searchsorted(self._ends, array, side="right")
-            if np.any(owner != owner[:, :1]):
-                raise ValueError("faces that join two parts")
+        if name == "sky_sun" and not abs(float(np.linalg.norm(array[:3])) - 1.0) < _UNIT:
+            raise ValueError(f"{name} is toward no direction")
+
+
+def check_parts(parts: list[Any], faces: NDArray) -> None:
+    """Raise ValueError where a face (F, 3) joins two parts."""
+    ends = np.cumsum([sides * count for _, _, count, sides in parts], dtype=np.int64)
+    part = np.searchsorted(ends, faces, side="right")
+    if np.any(part != part[:, :1]):
+        raise ValueError("a face joins two parts")
 
 
 _LARGEST = {"positions": LARGEST_COORDINATE, "fixed_directions": 1.001}

@@ -35,7 +35,7 @@ from slepian_prt.transport.archive_members import members_of, open_archive, read
 from slepian_prt.transport.effects import Effect
 from slepian_prt.transport.json_text import effect_as_json, finite_only, finite_or_none, view_as_json, write_json
 from slepian_prt.transport.transfer import Transfer
-from slepian_prt.transport.transfer_about import FORMAT, NAMES, VERSION, Shapes, begin_of, read_about
+from slepian_prt.transport.transfer_about import FORMAT, NAMES, VERSION, Shapes, begin_of, check_parts, read_about
 from slepian_prt.transport.transport_text import read_transport
 
 # What is told of transfer is no longer in bytes, and only so many times longer than it is packed, but for short ones.
@@ -109,6 +109,8 @@ def _told(path: str | Path, about: dict[str, Any], arrays: dict[str, NDArray]) -
             if name in arrays:
                 shapes.expect(name, arrays[name].dtype, arrays[name].shape)
                 shapes.accept(name, arrays[name])
+        if "film" not in about:
+            check_parts(about["parts"], arrays["faces"])
     except ValueError as error:
         reason = shorten(str(error), 200)
         raise UserError(f"{path}: no file can hold this transfer ({reason}); change that before it is saved") from None
@@ -171,6 +173,8 @@ def _read(archive: zipfile.ZipFile, path: Path) -> tuple[dict[str, Any], dict[st
         if f"{name}.npy" in members:
             arrays[name] = read_array(archive, members[f"{name}.npy"], partial(shapes.expect, name))
             shapes.accept(name, arrays[name])
+    if "film" not in about and "faces" in arrays:
+        check_parts(about["parts"], arrays["faces"])
     return about, arrays
 
 

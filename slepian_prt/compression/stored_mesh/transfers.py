@@ -7,12 +7,26 @@ from dataclasses import replace
 import numpy as np
 
 from slepian_prt.compression.stored_mesh.stored import StoredMesh, store_mesh
+from slepian_prt.errors import UserError
 from slepian_prt.transport.transfer import Transfer
 
 
 def stored_mesh_of(transfer: Transfer, *, exact: bool = False) -> StoredMesh | None:
-    """The mesh of transfer as files have it, by `store_mesh`; None for the pixels of a film, which have no mesh."""
-    return None if transfer.film is not None else store_mesh(transfer.mesh, transfer.parts, exact=exact)
+    """The mesh of transfer as files have it, by `store_mesh`; None for the pixels of a film, which have no mesh.
+
+    Raises
+    ------
+    UserError
+        Its parts are not those of its mesh.
+    """
+    if transfer.film is not None:
+        return None
+    try:
+        return store_mesh(transfer.mesh, transfer.parts, exact=exact)
+    except UserError:
+        raise
+    except ValueError as error:
+        raise UserError(f"transfer of {transfer.mesh.name}: {error}; trace it again") from None
 
 
 def as_stored(transfer: Transfer, *, exact: bool = False) -> Transfer:

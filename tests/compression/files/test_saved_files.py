@@ -19,6 +19,7 @@ from slepian_prt.scene.scene import Part
 from slepian_prt.scene.view import View
 from slepian_prt.transport.effects import SIMULATED, Effect
 from slepian_prt.transport.transfer import precompute
+from slepian_prt.transport.transfer_about import Shapes
 from slepian_prt.transport.transfer_file import load_transfer
 from tests.conftest import bumpy
 from tests.fuzzing.prt_files import pack, unpack
@@ -160,6 +161,28 @@ def test_transfer_that_no_reader_would_take_is_not_saved(transfer, tmp_path):
         with pytest.raises(UserError, match="no file can hold this transfer"):
             replace(transfer, **change).save(tmp_path / "a.npz")
     assert not (tmp_path / "a.npz").exists()
+
+
+def test_uncompressed_transfer_whose_faces_join_parts(transfer, tmp_path):
+    parts = (Part("a", 0, 100), Part("b", 100, 62))
+    with pytest.raises(UserError, match="a face joins two parts"):
+        replace(transfer, parts=parts).save(tmp_path / "a.npz")
+    with pytest.raises(UserError, match="no face may join two parts"):
+        compress(replace(transfer, parts=parts), "none")
+    transfer.save(tmp_path / "a.npz")
+    arrays = dict(np.load(tmp_path / "a.npz"))
+    about = json.loads(str(arrays.pop("about")))
+    np.savez(tmp_path / "b.npz", about=json.dumps({**about, "parts": [["a", 0, 100], ["b", 100, 62]]}), **arrays)
+    with pytest.raises(UserError, match="a face joins two parts"):
+        load_transfer(tmp_path / "b.npz")
+
+
+def test_uncompressed_skies_whose_sun_is_nowhere(transfer):
+    shapes = Shapes({"bandlimit": 2})
+    shapes.accept("sky_sun", np.array([0.0, 0.6, 0.8, 0.1]))
+    for direction in ([0.0, 0.0, 0.0], [0.0, 2.0, 0.0]):
+        with pytest.raises(ValueError, match="sky_sun is toward no direction"):
+            shapes.accept("sky_sun", np.array([*direction, 0.1]))
 
 
 def test_seeds_have_128_bits(tmp_path):
