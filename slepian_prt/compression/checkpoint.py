@@ -35,6 +35,9 @@ _ASIDE = ".damaged"
 # it needs, and small sets of directions are made larger.
 _RAYS, _MORE_RAYS = 64, 1 << 14
 
+# Vectors have at most 7803 numbers, of at most 1e12.
+_LARGEST_ENERGY = 1e28
+
 
 class BlockStatistics(NamedTuple):
     """What is known of each receiver of a block, (n,) float32 each.
@@ -103,6 +106,8 @@ class Wanted(NamedTuple):
             return "it has numbers that are not finite"
         if any(part.min(initial=0.0) < 0.0 for part in block.statistics):
             return "it has negative norms"
+        if max(float(part.max(initial=0.0)) for part in block.statistics) > _LARGEST_ENERGY:
+            return "it has norms that no vector has"
         if block.rays > self.receivers.size * (_RAYS * self.samples + _MORE_RAYS):
             return f"it tells of {block.rays} rays for {self.receivers.size} vertices"
         return None

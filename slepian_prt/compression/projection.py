@@ -31,6 +31,10 @@ _LEFT_OUT_BEFORE_REFINING = 0.003
 # Below this tolerance functions are stored in float32.
 _FINE = 0.005
 
+# Rounding of sums of 2601 products in float32, relative to the lengths of what is multiplied: 2601 x 2^-24, times six
+# for functions that are orthonormal to float32 and for devices that sum in another order.
+_OF_SUMS = 1e-3
+
 # Bytes of names and shapes of arrays in a file.
 _HEADERS = 1800
 
@@ -78,6 +82,26 @@ class Projection:
             pieces.append(piece.ravel())
         statistics = BlockStatistics(traced.blocked[order].astype(np.float32), energy, np.maximum(missed, 0.0))
         return Block(vertices.astype(np.int32), statistics, np.concatenate(pieces), traced.rays)
+
+    def misfit(self, block: Block) -> str | None:
+        """Why the coefficients of a block cannot be those of vectors of its norms; None if they can be.
+
+        Together with those of what was subtracted they are a vector's own along orthonormal functions, and no longer
+        than it, but for rounding.
+        """
+        of = self.learned.clusters.index[block.vertices]
+        subtracted = np.zeros((of.size, self.learned.channels, (self.learned.bandlimit + 1) ** 2), dtype=np.float32)
+        self.learned.add_mean(subtracted, block.vertices, -1.0)
+        ends = np.cumsum(self.widths[of])
+        caps, starts = np.unique(of, return_index=True)
+        for c, begin, end in zip(caps, starts, [*starts[1:], of.size], strict=True):
+            added = self.bases[c].project(subtracted[begin:end]).astype(np.float64)
+            own = block.coefficients[ends[begin] - self.widths[c] : ends[end - 1]].reshape(added.shape)
+            length = np.linalg.norm(own - added, axis=1)
+            longest = np.sqrt(block.statistics.energy[begin:end], dtype=np.float64)
+            if np.any(length > longest + _OF_SUMS * (longest + np.linalg.norm(added, axis=1))):
+                return "its coefficients are larger than its vectors"
+        return None
 
     def as_sent(self) -> Projection:
         """The same without what only choosing the bases needs, and what is worked out anew faster than it is sent."""

@@ -167,7 +167,7 @@ def find_kept(store: Journal, projection: Projection, cut: Cut, number: int, sam
         return None
     receivers = cut.blocks[number]
     wanted = Wanted(receivers, projection.learned.clusters.index[receivers], projection.widths, samples)
-    reason = wanted.misfit(block)
+    reason = wanted.misfit(block) or projection.misfit(block)
     if reason is not None:
         store.forget(number, reason)
         return None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
+from slepian_prt.errors import UserError
 from slepian_prt.relighting.factors import Factors
 
 # Directions of a basis that carry less than this part of its energy are rounding.
@@ -81,7 +82,11 @@ def _group(
             for (part, _, lit), rows in zip(caps, weighted, strict=True)
         ]
     )
-    energies, axes = np.linalg.eigh((values.T @ values).astype(np.float64))
+    with np.errstate(over="ignore", invalid="ignore"):
+        products = values.T @ values
+    if not np.isfinite(products).all():
+        raise UserError("squares of the transfer are too large for float32; precompute it again, of light in its units")
+    energies, axes = np.linalg.eigh(products.astype(np.float64))
     kept = axes[:, ::-1][:, energies[::-1] > _ROUNDING * max(energies[-1], 0.0)]
     channels = len(basis) // weights.size  # there may be no functions, where all is dark
     functions = (basis @ kept).T.reshape(kept.shape[1], channels, weights.size) / weights

@@ -30,6 +30,9 @@ _TWISTED = 0.01
 # Coordinates whose products of four are still finite.
 LARGEST_COORDINATE = 1e60
 
+# Coordinates that float32 holds, and sums of a few of them.
+_LARGEST_FLOAT32 = 1e37
+
 
 @dataclass(frozen=True, repr=False)
 class Mesh(Summarised):
@@ -223,6 +226,16 @@ def check_geometry(positions: NDArray, faces: NDArray, origin: str) -> None:
             f"(the first is vertex {bad[0]}); remove them or export the mesh again"
         )
     check_faces(faces, len(positions), origin)
+
+
+def check_float32(mesh: Mesh) -> None:
+    """Raise UserError for a mesh of which float32, that pictures, pages and models hold, would not hold the faces."""
+    largest = float(np.abs(mesh.positions[mesh.receivers.active]).max(initial=0.0))
+    if largest > _LARGEST_FLOAT32:
+        raise UserError(
+            f"{mesh.name}: has coordinates up to {largest:.3g}, more than {_LARGEST_FLOAT32:g}, which is too large to "
+            "draw or to write as a model; scale the mesh down"
+        )
 
 
 def check_faces(faces: NDArray, count: int, origin: str) -> None:

@@ -26,6 +26,7 @@ from slepian_prt.relighting.series import about_axis
 from slepian_prt.relighting.source import find_source, locate_source
 from slepian_prt.renderer.variants import mitsuba
 from slepian_prt.runtime.gpu_transfer import as_compressed, gpu_transfer
+from slepian_prt.scene.mesh import check_float32
 from slepian_prt.scene.named_files import check_output_file
 from slepian_prt.scene.reflectance.surface_detail import SurfaceDetail
 from slepian_prt.scene.view import Aim
@@ -208,6 +209,9 @@ def page_content(
         models = [replace(model, label=label) for model, label in zip(models, labels, strict=True)]
     elif packed.fixed is None and wish.fixed_lights != 1.0:
         report("the file holds the light of no lamps; `fixed_lights` changes nothing")
+    for model in models:
+        if model.packed.film is None:
+            check_float32(model.packed.mesh)
     lights = _lights([model.packed for model in models], wish, report)
     finish = wish.finish(with_map=any(light.map for light in lights))
     with mitsuba() as mi:

@@ -281,6 +281,42 @@ def test_blocks_that_are_not_those_of_the_plan_are_put_aside_and_done_again(seed
         assert resumed.rays_traced == whole.rays_traced
 
 
+BASES = ("transport", "slepian", "incident", "sh", "direct", "adapted", "none")
+
+
+@pytest.mark.parametrize("basis", BASES)
+def test_magnitudes_that_vectors_of_such_norms_cannot_have_are_not_believed(basis, monkeypatch, cache, caplog):
+    """Coefficients times two, times 1e30, all 3e38: checksums are right. And good blocks of every basis are kept."""
+    terms = None if basis == "none" else 6
+    mesh, settings, job = bumpy(2), CompressionSettings(basis=basis, clusters=4, terms=terms), TransportSettings(4, 64)
+
+    def trace_and_stop():
+        with monkeypatch.context() as patched:
+            patched.setattr(stores.Journal, "__iter__", lambda _: (_ for _ in ()).throw(Killed))
+            compress_scene(mesh, settings, job)
+
+    with pytest.raises(Killed):
+        trace_and_stop()
+    (folder,) = cache.iterdir()
+    store = stores.Journal(folder)
+    number, good = next(iter(store))
+    some = np.zeros_like(good.coefficients)
+    some[-1] = 3e38
+    changes = {
+        "it is good": good,
+        "larger": good._replace(coefficients=2 * good.coefficients),
+        "larger than": good._replace(coefficients=some),
+        "norms": good._replace(statistics=good.statistics._replace(energy=good.statistics.energy + np.float32(3e38))),
+    }
+    for reason, block in changes.items():
+        store.add(number, block)
+        caplog.clear()
+        with pytest.raises(Killed), caplog.at_level("INFO"):
+            trace_and_stop()
+        assert ("is put aside" in caplog.text) == (block is not good)
+        assert (reason in caplog.text) == (block is not good)
+
+
 def test_other_settings_do_not_take_the_blocks(monkeypatch, cache):
     monkeypatch.setattr(stores.Journal, "__iter__", lambda _: (_ for _ in ()).throw(Killed))
     settings = CompressionSettings(tolerance=0.05, clusters=6)

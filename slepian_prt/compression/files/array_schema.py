@@ -137,6 +137,8 @@ def _some(size: str) -> Callable[[Known], bool]:
     return lambda known: known.sizes.get(size, 0) > 0
 
 
+# A coefficient of transfer is at most 1e12; three channels, and the factors of means and of degrees, make less of this.
+_mean = values.within(-1e14, 1e14)
 _number = values.within(-LARGEST_NUMBER, LARGEST_NUMBER)
 _positive = values.within(2.0**-64, LARGEST_NUMBER)
 _scale = values.within(0.0, LARGEST_NUMBER)
@@ -190,9 +192,9 @@ ARRAYS = (
         lambda known: False if _radial(known) else None,
         values.check_dense,
     ),
-    ArrayRow("basis/mean", "float16 float32", ("C D M",), _may, _number),
+    ArrayRow("basis/mean", "float16 float32", ("C D M",), _may, _mean),
     ArrayRow("basis/weights", "float64", ("L+1",), _may, _positive),
-    ArrayRow("mean/zonal", "float32", ("classes", "L+1"), _may, _number),
+    ArrayRow("mean/zonal", "float32", ("classes", "L+1"), _may, _mean),
     ArrayRow("coefficients", "float16 float32", ("numbers",), _plain, values.check_coefficients),
     ArrayRow("coded/caps", "uint32", (6, "C"), _coded, values.check_coded_caps),
     ArrayRow("coded/prediction", "uint8", (4, "widths"), _coded, values.check_prediction),

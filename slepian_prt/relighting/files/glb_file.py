@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slepian_prt.relighting.files.coloured_mesh import fits_float32
 from slepian_prt.relighting.files.gltf_document import GltfDocument
 from slepian_prt.relighting.files.painted_mesh import PaintedMesh, Piece
-from slepian_prt.scene.mesh import Mesh
+from slepian_prt.scene.mesh import Mesh, check_float32
 
 
 def write_glb(path: str | Path, painted: PaintedMesh, up: str = "y") -> None:
@@ -49,7 +49,14 @@ def write_glb(path: str | Path, painted: PaintedMesh, up: str = "y") -> None:
 
 
 def mesh_center(mesh: Mesh) -> NDArray[np.float64]:
-    """(3,) about what positions are written: the origin, or the middle of a model whose coordinates float32 rounds."""
+    """(3,) about what positions are written: the origin, or the middle of a model whose coordinates float32 rounds.
+
+    Raises
+    ------
+    UserError
+        The mesh is too large for float32.
+    """
+    check_float32(mesh)
     if fits_float32(mesh):
         return np.zeros(3)
     used = mesh.positions[mesh.receivers.active]

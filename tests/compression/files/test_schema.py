@@ -9,6 +9,7 @@ import random
 import time
 import tracemalloc
 import zipfile
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,12 +22,15 @@ from slepian_prt.compression.files.manifest import LARGEST_BANDLIMIT, read_manif
 from slepian_prt.compression.files.prt_file import load
 from slepian_prt.compression.stream import compress
 from slepian_prt.errors import UserError
+from slepian_prt.export.model import export_model
 from slepian_prt.machine.memory import memory_limited
 from slepian_prt.relighting.factors import all_factors
 from slepian_prt.relighting.relight import relight
+from slepian_prt.scene.mesh import make_mesh
 from slepian_prt.scene.view import look_matrix
 from slepian_prt.transport import settings
 from slepian_prt.transport.transfer import precompute
+from slepian_prt.viewer.pages import save_page
 from tests.conftest import bumpy
 from tests.fuzzing.prt_files import mutate, npy, pack, unpack
 from tests.numerics import assert_exact
@@ -268,6 +272,36 @@ def test_more_functions_of_an_order_than_there_are(files, tmp_path):
         "radial/values": first,
     }
     refused(pack(manifest, {**arrays, **same}), tmp_path / "a.prt", "more functions of an order than there are")
+
+
+def test_meshes_that_float32_does_not_hold(tmp_path):
+    """Files have them, and relight them to numbers; pages and models are of float32."""
+    mesh = bumpy(1)
+    for scale, holds in ((1e36, True), (1e45, False)):
+        large = make_mesh(scale * mesh.positions, mesh.faces, name="large")
+        compress(precompute(large, 1, 16), clusters=2).save(tmp_path / "a.prt")
+        used(tmp_path / "a.prt")
+        packed = load(tmp_path / "a.prt")
+        writers = {"a.html": partial(save_page, transfer=packed), "a.glb": partial(export_model, packed)}
+        for name, write in writers.items():
+            with contextlib.nullcontext() if holds else pytest.raises(UserError, match="too large to draw"):
+                write(path=tmp_path / name)
+
+
+def test_means_that_are_larger_than_vectors(files, tmp_path):
+    """Squares of 2^64 are not finite in float32, which pages and models found too late."""
+    manifest, arrays = unpack(files["coded"])
+    for value in (2.0**64, -(2.0**47)):
+        spoilt = {**arrays, "mean/zonal": np.full_like(arrays["mean/zonal"], value)}
+        refused(pack(manifest, spoilt), tmp_path / "a.prt", "mean/zonal")
+
+
+def test_transfer_whose_squares_float32_does_not_hold(files, tmp_path):
+    manifest, arrays = unpack(files["float32"])
+    large = {**arrays, "coefficients": np.full_like(arrays["coefficients"], 2.0**63)}
+    (tmp_path / "a.prt").write_bytes(pack(manifest, large))
+    with pytest.raises(UserError, match="too large for float32"):
+        export_model(load(tmp_path / "a.prt"), tmp_path / "a.glb")
 
 
 # --- Memory and time -------------------------------------------------------------------------------------------------
