@@ -25,7 +25,7 @@ def left_over(client) -> list:
     return client.run_on_scheduler(lambda dask_scheduler: list(dask_scheduler.tasks))
 
 
-def wait_until(holds, seconds: float = 20.0) -> bool:
+def wait_until(holds, seconds: float = 60.0) -> bool:
     """Whether it holds in the end."""
     end = time.monotonic() + seconds
     while not holds():
