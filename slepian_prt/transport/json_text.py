@@ -13,8 +13,8 @@ from slepian_prt.transport.effects import Effect
 # Of a name, a path or a note.
 LONGEST_TEXT = 1 << 16
 
-# Of a camera's clipping planes.
-_FURTHEST = 1e300
+# Of a camera's clipping planes, which renderers have in float32.
+_FURTHEST = 1e38
 
 # Escapes as a reader meets them one after the other: pairs of surrogates are characters, one alone is none.
 _ESCAPE = re.compile(rb"\\(?:u[dD][89abAB]..\\u[dD][c-fC-F]..|(u[dD][89a-fA-F]..)|.)", re.DOTALL)

@@ -242,7 +242,7 @@ def _other_shape(array: NDArray, random: random.Random) -> NDArray:
     if kind == 5:
         return array[:0]
     # Zeros deflate a thousandfold.
-    return np.zeros((random.choice((1 << 20, 1 << 24)), *array.shape[1:2]), dtype=np.uint8)
+    return np.zeros((random.choice((1 << 20, 1 << 24)), *(min(n, 16) for n in array.shape[1:2])), dtype=np.uint8)
 
 
 def _other_header(array: NDArray, random: random.Random) -> bytes:
