@@ -58,7 +58,7 @@ def read_obj(path: Path) -> MeshFile:
     notes += [f"its faces name {names}, and it has none" for names in said.dangling]
     materials, numbers = _read_materials(path, said, notes)
     vertices, corners = split_at_normals(said) if np.any(said.corners[:, 2] >= 0) else _join_positions(said)
-    polygons = Polygons(said.sizes, corners, None, numbers)
+    polygons = Polygons(said.sizes, corners, None, numbers, said.line_of)
     if any(m.material.texture or m.material.metallic_texture for m in materials):
         polygons = _map(polygons, said, materials, notes)
     return assemble(path, vertices, polygons, [m.material for m in materials], notes)
