@@ -77,7 +77,10 @@ def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
         if fcntl is None:
             _replace(partial, target)
     except OSError as error:
-        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise UserError(
+            f"{path}: cannot be written ({error.strerror or error}); free some space or choose another folder for the "
+            "output"
+        ) from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
