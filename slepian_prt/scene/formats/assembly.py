@@ -82,8 +82,8 @@ def assemble(
     except TangledError as error:
         line = f"line {polygons.line(error.polygon)}: " if polygons.line else ""
         raise UserError(
-            f"{path}: {line}face {error.polygon} has {error.size} corners, and is too long, or crosses itself too much, "
-            "to be cut into triangles; export triangles"
+            f"{path}: {line}face {error.polygon} has {error.size} corners, and is too long, or crosses itself too "
+            "much, to be cut into triangles; export triangles"
         ) from None
     notes = list(notes)
     lost = len(polygons.sizes) - np.count_nonzero(np.diff(owners, prepend=-1))
