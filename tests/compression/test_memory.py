@@ -81,6 +81,6 @@ def test_many_lights_at_once_are_refused_where_their_radiance_does_not_fit(monke
 
 def test_a_capture_that_does_not_fit_is_refused_before_its_paths(monkeypatch):
     monkeypatch.setattr("slepian_prt.transport.capturing.capture.add_passes", refuse_to_trace)
-    told = "capturing 230400 pixels at bandlimit 50 needs about .*; lower `bandlimit` or make the film smaller"
+    told = "capturing 230400 pixels at bandlimit 50 needs about .*; raise `max_memory`, or lower `bandlimit` or make"
     with memory_limited(2 << 30), pytest.raises(UserError, match=told):
         sp.capture(example("glossy"), bandlimit=50)
