@@ -37,6 +37,21 @@ _PRIVATE = 0o700
 _KEPT: ContextVar[dict[str, tuple[Path, IO[bytes]]] | None] = ContextVar("_KEPT", default=None)
 
 
+# Whether work that this process finished waits in the cache folder for the next run.
+_keeps_work = False
+
+
+def keeps_work() -> bool:
+    """Whether work that ended before its time has left something that the same command goes on with."""
+    return _keeps_work
+
+
+def note_kept() -> None:
+    """Work has ended before its time, and what is finished of it stays."""
+    global _keeps_work
+    _keeps_work = True
+
+
 def locked_cache_file(name: str) -> IO[bytes] | None:
     """A file of the cache folder that no other process has while it is open, to append.
 
@@ -71,7 +86,11 @@ def locked_cache_folder(name: str) -> Iterator[Path | None]:
     folder, held = opened
     with contextlib.ExitStack() as stack:
         stack.enter_context(held)
-        yield folder
+        try:
+            yield folder
+        except BaseException:
+            _note_if_kept(folder)
+            raise
         if kept is None:
             _remove(folder)
         else:
@@ -88,10 +107,20 @@ def work_kept() -> Iterator[None]:
         yield
         for folder, _ in kept.values():
             _remove(folder)
+    except BaseException:
+        for folder, _ in kept.values():
+            _note_if_kept(folder)
+        raise
     finally:
         _KEPT.reset(token)
         for _, held in kept.values():
             held.close()
+
+
+def _note_if_kept(folder: Path) -> None:
+    with contextlib.suppress(OSError):
+        if set(os.listdir(folder)) - {"lock"}:
+            note_kept()
 
 
 def _tell(error: OSError) -> None:

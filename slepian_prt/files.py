@@ -77,7 +77,10 @@ def atomic_output(path: str | Path) -> Iterator[IO[bytes]]:
         if fcntl is None:
             _replace(partial, target)
     except OSError as error:
-        raise UserError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise UserError(
+            f"{path}: cannot be written ({error.strerror or error}); free some space or choose another folder for the "
+            "output"
+        ) from None
     finally:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -142,7 +145,9 @@ def check_readable(path: str | Path, wanted: str = "a file", remedy: str = "chec
     if os.path.isdir(path):  # other than Path's, false for names that no file can have
         raise UserError(f"{path}: is a folder; name {wanted}")
     if not os.path.isfile(path):
-        raise UserError(f"{path}: {'is a pipe or a device' if os.path.exists(path) else 'no such file'}; {remedy}")
+        if os.path.exists(path):
+            raise UserError(f"{path}: is a pipe or a device; name {wanted}")
+        raise UserError(f"{path}: no such file; {remedy}")
 
 
 def check_writable(path: str | Path, *inputs: str | Path) -> None:

@@ -61,10 +61,13 @@ def told(interrupt: BaseException | None) -> str:
 
 
 def last_words(interrupt: BaseException | None) -> str:
-    """What ended the command, and what became of its outputs."""
+    """What ended the command, and what became of its outputs and of the work that it had finished."""
     files = sys.modules.get("slepian_prt.files")  # without it nothing is written
-    written = files is not None and files.may_have_written()
-    return f"{told(interrupt)}; {'what was written by then stays' if written else 'nothing was written'}"
+    cache = sys.modules.get("slepian_prt.cache_folder")  # nor kept without this
+    stays = ["what was written by then stays"] if files is not None and files.may_have_written() else []
+    if cache is not None and cache.keeps_work():
+        stays += ["finished work is kept, and the same command goes on"]
+    return "; ".join([told(interrupt), *(stays or ["nothing was written"])])
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from pathlib import Path
 import platformdirs
 import pytest
 
-from slepian_prt.cache_folder import locked_cache_file, locked_cache_folder, work_kept
+from slepian_prt.cache_folder import keeps_work, locked_cache_file, locked_cache_folder, work_kept
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="locks and permissions of POSIX")
 
@@ -160,3 +160,20 @@ def test_finished_work_is_kept_until_its_result_is_written(cache):
     with work_kept(), locked_cache_folder("a.blocks") as folder:
         assert (folder / "block").exists()
     assert os.listdir(cache) == []
+
+
+@pytest.mark.parametrize("kind", ["blocks", "nothing", "blocks of a result", "finished"])
+def test_what_an_interrupt_leaves_to_go_on_with_is_known(kind, cache, monkeypatch):
+    monkeypatch.setattr("slepian_prt.cache_folder._keeps_work", False)
+    with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as stack:
+        if kind == "blocks of a result":
+            stack.enter_context(work_kept())
+        with locked_cache_folder("a.blocks") as folder:
+            if kind != "nothing":
+                (folder / "0.block").write_bytes(b"")
+            if kind in ("blocks", "nothing"):
+                raise KeyboardInterrupt
+        if kind == "blocks of a result":
+            raise KeyboardInterrupt
+    assert keeps_work() == (kind in ("blocks", "blocks of a result"))
+    assert (cache / "a.blocks").is_dir() == (kind != "finished")

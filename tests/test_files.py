@@ -200,6 +200,8 @@ def test_a_full_disk_leaves_nothing(tmp_path):
     )
     assert [line.split(":")[0] for line in run.stdout.splitlines()] == ["out", "new/b", "new", "there", "lines"]
     assert run.stdout.count("File too large") == 5
+    assert all("; free some space" in line or "; choose another folder" in line for line in run.stdout.splitlines())
+    assert run.stdout.splitlines()[0].endswith("; free some space or choose another folder for the output")
     assert sorted(os.listdir(tmp_path)) == ["lines", "out", "there"]
     assert (tmp_path / "out").read_bytes() == (tmp_path / "there" / "a").read_bytes() == b"old"
     assert os.listdir(tmp_path / "there") == ["a"]

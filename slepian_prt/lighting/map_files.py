@@ -35,6 +35,8 @@ def file_rows(path: str | Path) -> Rows:
     try:
         with path.open("rb") as file:
             start = file.read(4)
+        if not start:
+            raise ValueError("the file is empty")
         found = _reader(start)(path)
         found.read(0, 1)  # now, so that damage to what all rows need is found here
     except UserError:

@@ -109,7 +109,7 @@ def check_memory(need: int, work: str, remedy: str) -> None:
     """
     there = _there()
     if there is not None and need > there[0]:
-        raise UserError(_told(need, work, *there, remedy))
+        raise UserError(_told(need, work, *there, _remedies(remedy)))
 
 
 def check_estimate(need: float, work: str, remedy: str, least: float | None = None) -> None:
@@ -127,8 +127,8 @@ def check_estimate(need: float, work: str, remedy: str, least: float | None = No
     if there is None or need <= _CLOSE * there[0]:
         return
     if (_SURE * need if least is None else least) > there[0]:
-        raise UserError(_told(need, work, *there, remedy))
-    log.warning("%s", _told(need, work, *there, f"if that is too little, {remedy}"))
+        raise UserError(_told(need, work, *there, _remedies(remedy)))
+    log.warning("%s", _told(need, work, *there, f"if that is too little, {_remedies(remedy)}"))
 
 
 def _there() -> tuple[int, str] | None:
@@ -142,6 +142,11 @@ def _there() -> tuple[int, str] | None:
 
 def _told(need: float, work: str, allowed: int, says: str, remedy: str) -> str:
     return f"{work} needs about {describe_size(need)} of memory, {says} {describe_size(allowed)}; {remedy}"
+
+
+def _remedies(remedy: str) -> str:
+    """What to change, where a limit was given first that: what a process needs in any case may be above it."""
+    return remedy if limit_given() is None else f"raise `max_memory`, or {remedy}"
 
 
 def held_memory(root: Path = Path("/")) -> int:

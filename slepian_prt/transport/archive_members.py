@@ -53,6 +53,8 @@ def open_archive(path: Path) -> zipfile.ZipFile:
     OSError, zipfile.BadZipFile
     """
     with path.open("rb") as file:
+        if not file.read(1):
+            raise zipfile.BadZipFile("the file is empty")
         length = _directory_length(file)
     if length is not None and length > _LONGEST_DIRECTORY:
         raise zipfile.BadZipFile(f"a directory of {length} bytes")

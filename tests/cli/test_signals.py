@@ -33,6 +33,9 @@ STAGES = {
 }
 
 
+KEPT = "finished work is kept, and the same command goes on"
+
+
 def begin(
     code: str,
     folder: Path,
@@ -86,16 +89,16 @@ def folder(tmp_path) -> Path:
 @pytest.mark.parametrize(
     ("stage", "number", "status", "said"),
     [
-        ("tracing", signal.SIGTERM, 143, "terminated"),
-        ("a thread", signal.SIGINT, 130, "interrupted"),
-        ("coding", signal.SIGINT, 130, "interrupted"),
-        ("writing", signal.SIGHUP, 129, "the terminal was closed"),
+        ("tracing", signal.SIGTERM, 143, "terminated; nothing was written"),
+        ("a thread", signal.SIGINT, 130, "interrupted; nothing was written"),
+        ("coding", signal.SIGINT, 130, f"interrupted; {KEPT}"),
+        ("writing", signal.SIGHUP, 129, f"the terminal was closed; {KEPT}"),
     ],
 )
 def test_a_signal_ends_the_command_cleanly_in_every_stage(folder, stage, number, status, said):
     process = begin(signalled_in(stage, number), folder, *PRECOMPUTE)
     _, error = process.communicate(timeout=120)
-    assert error.splitlines() == [f"slepian-prt: {said}; nothing was written"]
+    assert error.splitlines() == [f"slepian-prt: {said}"]
     assert process.returncode == status
     assert {path.name for path in folder.iterdir()} == {"ball.ply", "cache"}
     if stage == "writing":

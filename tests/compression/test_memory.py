@@ -28,11 +28,12 @@ def told_of(caplog, need: float, least: float | None = None) -> list[str]:
 def test_what_may_fit_is_told_and_what_clearly_does_not_is_refused(caplog):
     gib = 1 << 30
     assert told_of(caplog, 0.79 * gib) == []
-    told = "this needs about {} of memory, `max_memory` allows 1.0 GiB; if that is too little, wait"
+    told = "this needs about {} of memory, `max_memory` allows 1.0 GiB; "
+    told += "if that is too little, raise `max_memory`, or wait"
     for need, least in ((0.81 * gib, None), (1.24 * gib, None), (7 * gib, 0.9 * gib)):
         assert told_of(caplog, need, least) == [told.format(describe_size(need))]
     for need, least in ((1.26 * gib, None), (1.1 * gib, 1.01 * gib)):
-        with pytest.raises(UserError, match=r"this needs about .* allows 1\.0 GiB; wait"):
+        with pytest.raises(UserError, match=r"this needs about .* allows 1\.0 GiB; raise `max_memory`, or wait"):
             told_of(caplog, need, least)
 
 
@@ -44,7 +45,7 @@ def test_vectors_that_cannot_be_coded_are_refused_before_they_are_traced(monkeyp
     """They themselves fit: with interreflection they are held all at once."""
     monkeypatch.setattr(transfer_module, "merge_equal_channels", refuse_to_trace)
     monkeypatch.setattr("slepian_prt.compression.stream.compute_transfer", refuse_to_trace)
-    told = "compressing 33301 vertices at bandlimit 50 needs about .*; raise `tolerance`, lower `bandlimit`"
+    told = "compressing 33301 vertices at bandlimit 50 needs about .*; raise `max_memory`, or raise `tolerance`, lower"
     with memory_limited(1 << 30), pytest.raises(UserError, match=told):
         precompute_compressed(example("knot"), bandlimit=50, samples=1024, albedo=0.5)
 
@@ -52,7 +53,7 @@ def test_vectors_that_cannot_be_coded_are_refused_before_they_are_traced(monkeyp
 def test_the_search_for_a_goal_is_told_of_before_its_pilot(monkeypatch, caplog):
     monkeypatch.setattr("slepian_prt.accuracy.run.draw_vertices", refuse_to_trace)
     given = example("knot"), Goal(error=0.1), Light(spectrum="falling"), CompressionSettings(), TransportSettings()
-    told = "the search for a goal, of 33301 vertices, needs about .*; {}lower `bandlimit`"
+    told = "the search for a goal, of 33301 vertices, needs about .*; {}raise `max_memory`, or lower `bandlimit`"
     with memory_limited(100 << 20), pytest.raises(UserError, match=told.format("")):
         precompute_within(*given)
     with memory_limited(1 << 30), pytest.raises(AssertionError, match="traced"):
@@ -73,13 +74,13 @@ def test_many_lights_at_once_are_refused_where_their_radiance_does_not_fit(monke
     transfer = sp.precompute(mesh, 1, 16)
     monkeypatch.setattr("slepian_prt.relighting.relight._LARGE", 3 * 4 * 3 * 5)
     monkeypatch.setattr("slepian_prt.relighting.relight._apply_vectors", refuse_to_trace)
-    told = "relighting 3 receivers under 5 lights at once needs about .*; relight under fewer at a time"
+    told = "relighting 3 receivers under 5 lights at once needs about .*, or relight under fewer at a time"
     with memory_limited(held_memory() // 2), pytest.raises(UserError, match=told):
         sp.relight(transfer, np.ones((5, 3, 4)))
 
 
 def test_a_capture_that_does_not_fit_is_refused_before_its_paths(monkeypatch):
     monkeypatch.setattr("slepian_prt.transport.capturing.capture.add_passes", refuse_to_trace)
-    told = "capturing 230400 pixels at bandlimit 50 needs about .*; lower `bandlimit` or make the film smaller"
+    told = "capturing 230400 pixels at bandlimit 50 needs about .*; raise `max_memory`, or lower `bandlimit` or make"
     with memory_limited(2 << 30), pytest.raises(UserError, match=told):
         sp.capture(example("glossy"), bandlimit=50)

@@ -373,3 +373,9 @@ def test_large_pictures_are_read_without_a_warning(tmp_path):
     picture.save(tmp_path / "map.png")
     with pytest.raises(UserError, match="is 16384 x 8191 texels; a latitude-longitude map"):
         file_rows(tmp_path / "map.png")
+
+
+def test_an_empty_map_is_told_as_empty(tmp_path):
+    (tmp_path / "map.hdr").write_bytes(b"")
+    with pytest.raises(UserError, match=r"\(the file is empty\)"):
+        read_environment(tmp_path / "map.hdr")

@@ -5,7 +5,14 @@ from pathlib import Path
 import pytest
 
 from slepian_prt.errors import UserError
-from slepian_prt.machine.memory import allowed_memory, available_memory, check_memory, memory_limited, parse_size
+from slepian_prt.machine.memory import (
+    MAX_MEMORY,
+    allowed_memory,
+    available_memory,
+    check_memory,
+    memory_limited,
+    parse_size,
+)
 
 
 def test_this_machine_has_some():
@@ -16,8 +23,16 @@ def test_this_machine_has_some():
 def test_work_that_needs_more_than_is_allowed_is_refused():
     with memory_limited(3 << 30):
         check_memory(3 << 30, "this", "wait")
-        with pytest.raises(UserError, match=r"this needs about 3\.5 GiB of memory, `max_memory` allows 3\.0 GiB; wait"):
+        told = r"^this needs about 3\.5 GiB of memory, `max_memory` allows 3\.0 GiB; raise `max_memory`, or wait$"
+        with pytest.raises(UserError, match=told):
             check_memory(7 << 29, "this", "wait")
+
+
+def test_who_gave_no_limit_is_not_told_to_raise_one(monkeypatch):
+    monkeypatch.delenv(MAX_MEMORY, raising=False)
+    monkeypatch.setattr("slepian_prt.machine.memory.available_memory", lambda: 1 << 30)
+    with pytest.raises(UserError, match=r"there are .*; wait$"):
+        check_memory(1 << 50, "this", "wait")
 
 
 def test_the_limit_ends_with_the_block():

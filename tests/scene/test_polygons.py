@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from slepian_prt.errors import UserError
+from slepian_prt.scene.formats import polygons
 from slepian_prt.scene.formats.polygons import triangulate
+from slepian_prt.scene.mesh_files import read_parts
 from tests.numerics import assert_exact
 
 BRACKET = np.array(
@@ -174,3 +177,49 @@ def test_polygons_of_one_size_are_cut_each_in_its_way():
         shoelace(turned(regular(9), k)) for k in range(9)
     ]
     np.testing.assert_allclose(sums, right, atol=40 * 9 * 36 * np.finfo(float).eps)
+
+
+def read_face(path, face, vertices="v 0 0 0\nv 1 0 0\nv 0 1 0\n"):
+    path.write_text(f"{vertices}f {face}\n")
+    return read_parts(path)
+
+
+@pytest.mark.parametrize("rounds", [5000 // 3, 1_000_000 // 3])
+def test_a_face_that_goes_round_again_and_again_is_refused_unclipped(rounds, tmp_path, monkeypatch):
+    monkeypatch.setattr(polygons.mapbox_earcut, "triangulate_float64", lambda *_: pytest.fail("clipped"))
+    with pytest.raises(UserError, match=f"round.obj: line 4: face 0 has {3 * rounds} corners, .*; export triangles$"):
+        read_face(tmp_path / "round.obj", "1 2 3 " * rounds)
+
+
+@pytest.mark.parametrize("number", [5000, 1_000_000])
+def test_a_face_that_goes_to_and_fro_is_not_clipped(number, tmp_path, monkeypatch):
+    monkeypatch.setattr(polygons.mapbox_earcut, "triangulate_float64", lambda *_: pytest.fail("clipped"))
+    assert read_face(tmp_path / "fro.obj", "1 2 " * (number // 2) + "3 3 2").parts
+
+
+def test_clipping_of_what_crosses_itself_is_bounded_for_all_of_a_file(monkeypatch):
+    done = []
+    monkeypatch.setattr(
+        polygons.mapbox_earcut, "triangulate_float64",
+        lambda flat, ends: done.append(len(flat)) or np.zeros(3 * len(flat) - 6, dtype=np.uint32),
+    )  # fmt: skip
+    rounds = np.tile(regular(3), (300, 1)) + 1e-3 * np.random.default_rng(1).random((900, 3)) * [1, 1, 0]
+    with pytest.raises(polygons.TangledError) as caught:
+        cut(*[rounds] * 100)
+    assert caught.value.size == 900
+    assert sum(n**3 for n in done) <= polygons._MOST_CLIPPING
+
+
+def keyhole(n):
+    """A disc with a round hole, which a bridge leads to: its two ends are named twice."""
+    outer, inner = regular(n), 0.5 * regular(n)[::-1]
+    inner = np.roll(inner, 1, axis=0)
+    return np.concatenate([outer, outer[:1], inner, inner[:1]])
+
+
+@pytest.mark.parametrize("polygon", [keyhole(1500), comb(1200), turned(gear(4000, 2))], ids=["keyhole", "comb", "gear"])
+def test_long_polygons_that_do_not_cross_themselves_are_cut(polygon):
+    triangles, _, _ = cut(polygon)
+    parts = area(triangles)
+    np.testing.assert_allclose(parts.sum(axis=0), shoelace(polygon), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(parts, axis=1).sum(), np.linalg.norm(shoelace(polygon)), rtol=1e-9)

@@ -101,6 +101,8 @@ class Contents:
         self._complete = False
         with self.told(), open_archive(self.path) as archive:
             members = members_of(archive)
+            if "manifest.json" not in members and not _UNCOMPRESSED.issubset(members):
+                raise zipfile.BadZipFile("it has no manifest.json")
             if _UNCOMPRESSED.issubset(members):
                 raise UserError(
                     f"{path}: holds transfer that is not compressed, from Transfer.save; read it with "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slepian_prt.errors import UserError
 from slepian_prt.scene.formats.joining import join_equal
 from slepian_prt.scene.formats.parts import Material, MeshFile, MeshPart
-from slepian_prt.scene.formats.polygons import triangulate
+from slepian_prt.scene.formats.polygons import TangledError, triangulate
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +51,15 @@ class Polygons:
         As in `MeshPart`.
     materials : (P,) int64 or None
         Indices, -1 for none. None: no polygon has one.
+    line : callable or None
+        Gives the line of the file where a polygon is, in files of text that tell.
     """
 
     sizes: NDArray[np.int64]
     corners: NDArray[np.int64]
     uv: NDArray[np.float32] | None = None
     materials: NDArray[np.int64] | None = None
+    line: Callable[[int], int] | None = None
 
 
 def assemble(
@@ -70,10 +73,18 @@ def assemble(
     Raises
     ------
     UserError
-        A polygon names a vertex that does not exist; none of some polygons has three different corners.
+        A polygon names a vertex that does not exist; none of some polygons has three different corners; one of
+        them is too long to be cut.
     """
     check_corners(path, polygons, len(vertices.positions))
-    triangles, owners = triangulate(vertices.positions, polygons.sizes, polygons.corners)
+    try:
+        triangles, owners = triangulate(vertices.positions, polygons.sizes, polygons.corners)
+    except TangledError as error:
+        line = f"line {polygons.line(error.polygon)}: " if polygons.line else ""
+        raise UserError(
+            f"{path}: {line}face {error.polygon} has {error.size} corners, and is too long, or crosses itself too "
+            "much, to be cut into triangles; export triangles"
+        ) from None
     notes = list(notes)
     lost = len(polygons.sizes) - np.count_nonzero(np.diff(owners, prepend=-1))
     if lost and not len(triangles):

@@ -58,7 +58,7 @@ def read_obj(path: Path) -> MeshFile:
     notes += [f"its faces name {names}, and it has none" for names in said.dangling]
     materials, numbers = _read_materials(path, said, notes)
     vertices, corners = split_at_normals(said) if np.any(said.corners[:, 2] >= 0) else _join_positions(said)
-    polygons = Polygons(said.sizes, corners, None, numbers)
+    polygons = Polygons(said.sizes, corners, None, numbers, said.line_of)
     if any(m.material.texture or m.material.metallic_texture for m in materials):
         polygons = _map(polygons, said, materials, notes)
     return assemble(path, vertices, polygons, [m.material for m in materials], notes)
@@ -91,7 +91,7 @@ def _read_materials(path: Path, said: Statements, notes: list[str]) -> tuple[lis
             if is_file(library):
                 libraries = {**read_mtl(library, notes), **libraries}
             else:
-                notes.append(f"its material library {name} is missing")
+                notes.append(f"its material library {name} is {_why_not(library)}")
     lines = np.array([line for line, _ in uses])
     use = np.searchsorted(lines, said.lines) - 1
     needed = dict.fromkeys(uses[k][1] for k in np.unique(use).tolist() if k)
@@ -102,6 +102,14 @@ def _read_materials(path: Path, said: Statements, notes: list[str]) -> tuple[lis
     number_of = {name: number for number, name in enumerate(known)}
     numbers = np.array([number_of.get(name, -1) for _, name in uses], dtype=np.int64)
     return [libraries[name] for name in known], numbers[use]
+
+
+def _why_not(path: Path) -> str:
+    """What is wrong with something that is no file."""
+    try:
+        return ("a folder" if path.is_dir() else "a pipe or a device") if path.exists() else "missing"
+    except (OSError, ValueError):  # no file can have that name
+        return "missing"
 
 
 def _name_libraries(path: Path, rest: str) -> list[str]:

@@ -41,6 +41,8 @@ class Statements:
         Line, keyword and the rest of every other statement but groups and comments.
     dangling : tuple of str
         What faces name and the file has none of: texture coordinates, normals. They count as not named.
+    line_of : callable or None
+        The line of the file, from 1 on, where a polygon is.
     """
 
     positions: NDArray[np.float64]
@@ -52,6 +54,7 @@ class Statements:
     lines: NDArray[np.int64]
     others: tuple[tuple[int, str, str], ...]
     dangling: tuple[str, ...] = ()
+    line_of: Callable[[int], int] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +65,12 @@ class _Source:
     raw: bytes
     lines: Lines
 
+    def number_of(self, line: int) -> int:
+        """From 1 on."""
+        return self.raw.count(b"\n", 0, int(self.lines.begins[line])) + 1
+
     def refuse(self, line: int, what: str) -> UserError:
-        number = self.raw.count(b"\n", 0, int(self.lines.begins[line])) + 1
-        return UserError(f"{self.path}: line {number}: {what}; export it again")
+        return UserError(f"{self.path}: line {self.number_of(line)}: {what}; export it again")
 
     def parse(
         self,
@@ -118,7 +124,12 @@ def read_statements(path: Path) -> Statements:
     for line in np.flatnonzero(rest).tolist():
         keyword, *after = decode(lines.read(line)).split(maxsplit=1)
         others.append((line, keyword, after[0] if after else ""))
-    return Statements(positions, colors, uv, normals, sizes, corners, np.flatnonzero(is_f), tuple(others), dangling)
+    faces = np.flatnonzero(is_f)
+
+    def line_of(polygon: int) -> int:
+        return source.number_of(int(faces[polygon]))
+
+    return Statements(positions, colors, uv, normals, sizes, corners, faces, tuple(others), dangling, line_of)
 
 
 def _split(path: Path) -> _Source:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,44 @@ _STRAIGHT = 1e-6
 # work is done for all of a file: that of ten of these.
 _MOST_SPANNED = 100
 _MOST_SPANNING = 10 * _MOST_SPANNED**3
+
+# Clipping ears takes the corners squared at most, and cubed where a polygon crosses itself or goes round again: up to
+# _FEW_CORNERS nobody looks, and of those with more so much is done for all of a file, some ten seconds.
+_FEW_CORNERS = 200
+_MOST_CLIPPED = 20_000
+_MOST_CLIPPING = 10 * 1000**3
+
+# Pairs of sides that are looked at for crossings.
+_MOST_PAIRS = 4_000_000
+
+
+class TangledError(ValueError):
+    """A polygon that cannot be cut into triangles in reasonable time.
+
+    Attributes
+    ----------
+    polygon, size : int
+        Its number, and that of its corners.
+    """
+
+    def __init__(self, polygon: int, size: int) -> None:
+        super().__init__(f"polygon {polygon} of {size} corners")
+        self.polygon = polygon
+        self.size = size
+
+
+class _TooLongError(Exception):
+    def __init__(self, row: int) -> None:
+        super().__init__()
+        self.row = row
+
+
+@dataclass
+class _Budget:
+    """Work that is left for the polygons of a file."""
+
+    spanning: int = _MOST_SPANNING
+    clipping: int = _MOST_CLIPPING
 
 
 def triangulate(
@@ -40,6 +80,11 @@ def triangulate(
         Positions in ``corners``, so that other attributes of the corners can follow.
     owners : (T,) int64
         The polygon of each, in ascending order.
+
+    Raises
+    ------
+    TangledError
+        A polygon of thousands of corners is not convex and crosses itself, goes round again, or has too many.
     """
     numbers = np.arange(len(corners), dtype=np.int64)
     if np.all(sizes == 3):
@@ -47,11 +92,14 @@ def triangulate(
     numbers, sizes = _without_repeats(sizes, corners, numbers)
     starts = np.cumsum(sizes) - sizes
     triangles, owners = [np.empty((0, 3), dtype=np.int64)], [np.empty(0, dtype=np.int64)]
-    budget = [_MOST_SPANNING]
+    budget = _Budget()
     for size in np.unique(sizes[sizes >= 3]):
         polygons = np.flatnonzero(sizes == size)
         rows = numbers[starts[polygons, None] + np.arange(size)]
-        cut, row = _cut(positions, corners, rows, budget)
+        try:
+            cut, row = _cut(positions, corners, rows, budget)
+        except _TooLongError as error:
+            raise TangledError(int(polygons[error.row]), int(size)) from None
         triangles.append(rows[row[:, None], cut])
         owners.append(polygons[row])
     owner = np.concatenate(owners)
@@ -76,7 +124,7 @@ def _without_repeats(
 
 
 def _cut(
-    positions: NDArray[np.float64], corners: NDArray[np.int64], rows: NDArray[np.int64], budget: list[int]
+    positions: NDArray[np.float64], corners: NDArray[np.int64], rows: NDArray[np.int64], budget: _Budget
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Triangles (T, 3) in columns of ``rows`` (R, n), and the row of each; ``budget`` is what spanning may take."""
     count, size = rows.shape
@@ -93,6 +141,11 @@ def _cut(
             return _cut_quads(points, normals)
         flat = _project(points, normals)
         plain = _are_convex(flat) | ~(np.linalg.norm(normals, axis=1) > 1e-12)
+    if size > _FEW_CORNERS:
+        for number in np.flatnonzero(~plain):
+            budget.clipping -= 0 if _is_simple(flat[number]) else size**3
+            if size > _MOST_CLIPPED or budget.clipping < 0:
+                raise _TooLongError(int(number))
     cuts = [_clip_ears(flat[row], points[row], fan, budget) for row in np.flatnonzero(~plain)]
     simple = np.flatnonzero(plain)
     row = np.concatenate([np.repeat(simple, size - 2), np.repeat(np.flatnonzero(~plain), [len(cut) for cut in cuts])])
@@ -140,8 +193,54 @@ def _are_convex(flat: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.all(turns > _STRAIGHT, axis=1) & np.all(_sines(seen[:, :-1], seen[:, 1:]) > _STRAIGHT, axis=1)
 
 
+def _is_simple(flat: NDArray[np.float64]) -> bool:
+    """Whether a polygon (n, 2) goes round once and meets itself at most along bridges to its holes.
+
+    A bridge is gone to and fro, so that it names two places once more and has two sides that are each other's reverse.
+    """
+    sides = np.roll(flat, -1, axis=0) - flat
+    after = np.roll(sides, -1, axis=0)
+    turns = np.arctan2(sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0], np.sum(sides * after, axis=1))
+    if round(float(turns.sum() / (2 * np.pi))) != 1:
+        return False
+    places = np.unique(flat, axis=0, return_inverse=True)[1].reshape(-1)
+    count = int(places.max()) + 1
+    there, back = places * count + np.roll(places, -1), np.roll(places, -1) * count + places
+    bridges = np.count_nonzero(np.isin(there, back))
+    once_each = len(np.unique(there)) == len(there)
+    return once_each and bridges == len(flat) - count and not _meets_itself(flat, places)
+
+
+def _meets_itself(flat: NDArray[np.float64], places: NDArray[np.int64]) -> bool:
+    """Whether sides that share no end touch; also where too many pairs of them lie above each other to see."""
+    order, counts = min((_pairs_along(flat[:, k]) for k in range(2)), key=lambda pairs: int(pairs[1].sum()))
+    if counts.sum() > _MOST_PAIRS:
+        return True
+    begin, end = flat[order], np.roll(flat, -1, axis=0)[order]
+    i = np.repeat(np.arange(len(flat)), counts)
+    j = i + 1 + np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)
+    low, high = np.minimum(begin, end), np.maximum(begin, end)
+    near = np.all((low[i] <= high[j]) & (low[j] <= high[i]), axis=1)
+    first, last = places[order], np.roll(places, -1)[order]
+    near &= (first[i] != first[j]) & (first[i] != last[j]) & (last[i] != first[j]) & (last[i] != last[j])
+    i, j = i[near], j[near]
+
+    def side(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.sign((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
+
+    across = side(begin[i], end[i], begin[j]) * side(begin[i], end[i], end[j]) <= 0
+    return bool(np.any(across & (side(begin[j], end[j], begin[i]) * side(begin[j], end[j], end[i]) <= 0)))
+
+
+def _pairs_along(x: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The sides in the order of their beginnings along an axis, and how many after each begin before its end."""
+    low, high = np.minimum(x, np.roll(x, -1)), np.maximum(x, np.roll(x, -1))
+    order = np.argsort(low, kind="stable")
+    return order, np.searchsorted(low[order], high[order], side="right") - np.arange(1, len(x) + 1)
+
+
 def _clip_ears(
-    flat: NDArray[np.float64], points: NDArray[np.float64], fan: NDArray[np.int64], budget: list[int]
+    flat: NDArray[np.float64], points: NDArray[np.float64], fan: NDArray[np.int64], budget: _Budget
 ) -> NDArray[np.int64]:
     """Triangles (T, 3) of one polygon (n, 3), anticlockwise as it is in its plane (n, 2)."""
     ends = np.array([len(flat)], dtype=np.uint32)
@@ -150,8 +249,8 @@ def _clip_ears(
         return triangles.astype(np.int64)
     # A corner left out of a bent polygon would be a hole in the surface, and out of a flat one is none.
     if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > _STRAIGHT:
-        budget[0] -= len(flat) ** 3
-        return _span(points) if len(flat) <= _MOST_SPANNED and budget[0] >= 0 else fan
+        budget.spanning -= len(flat) ** 3
+        return _span(points) if len(flat) <= _MOST_SPANNED and budget.spanning >= 0 else fan
     return triangles.astype(np.int64) if len(triangles) else fan
 
 

@@ -18,7 +18,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slepian_prt.cache_folder import locked_cache_file
+from slepian_prt.cache_folder import locked_cache_file, note_kept
 from slepian_prt.errors import UserError
 from slepian_prt.sphere.harmonics import num_coefficients
 
@@ -190,6 +190,12 @@ def kept_means(fingerprint: str, pixels: int, per_block: int, bandlimit: int) ->
     with file:
         path = Path(file.name)
         with path.open("r+b") as both:  # what is opened to append cannot be mapped for writing
-            yield PixelMeans(both, pixels, per_block, bandlimit)
+            means = PixelMeans(both, pixels, per_block, bandlimit)
+            try:
+                yield means
+            except BaseException:
+                if any(means.passes(block) for block in range(means.blocks)):
+                    note_kept()
+                raise
         with contextlib.suppress(OSError):
             path.unlink()

@@ -1,8 +1,10 @@
 import contextlib
 import io
 import json
+import re
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import DracoPy
 import numpy as np
@@ -205,3 +207,20 @@ def test_the_same_work_gives_the_same_file_where_builds_are_reproducible(tmp_pat
         each.save(tmp_path / name)
     assert (tmp_path / "b.prt").read_bytes() == (tmp_path / "c.prt").read_bytes()
     assert load(tmp_path / "b.prt").seconds == {}
+
+
+@pytest.mark.parametrize("kind", ["empty", "other zip", "device"])
+def test_what_is_no_transfer_file_is_told_as_what_it_is(kind, tmp_path):
+    path = Path("/dev/null") if kind == "device" else tmp_path / "a.prt"
+    if kind == "empty":
+        path.write_bytes(b"")
+    if kind == "other zip":
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("a.txt", "a")
+    told = {
+        "empty": "(the file is empty)",
+        "other zip": "(it has no manifest.json)",
+        "device": "; name a transfer file",
+    }
+    with pytest.raises(UserError, match=re.escape(told[kind])):
+        load(path)

@@ -18,6 +18,7 @@ from slepian_prt.machine.memory import memory_limited
 from slepian_prt.scene.formats import polygons
 from slepian_prt.scene.formats.gltf import read_gltf
 from slepian_prt.scene.formats.joining import join_near
+from slepian_prt.scene.formats.obj import read_obj
 from slepian_prt.scene.mesh_files import read_mesh
 from slepian_prt.scene.reflectance import textures
 from tests.scene.formats.gltf_writer import FACES, TETRAHEDRON, Writer
@@ -109,6 +110,8 @@ def test_pipes_and_devices_are_not_read(tmp_path):
     for uri in ("a.bin", "/dev/zero"):
         with pytest.raises(UserError, match="is not there"):
             read_mesh(gltf(tmp_path, uri))
+    (tmp_path / "b.obj").write_text("mtllib /dev/zero\n" + CORNERS + "f 1 2 3\n")
+    assert any("/dev/zero is a pipe or a device" in note for note in read_obj(tmp_path / "b.obj").notes)
     os.mkfifo(tmp_path / "a.obj")
     with pytest.raises(UserError, match="is a pipe or a device"):
         read_mesh(tmp_path / "a.obj")
