@@ -122,7 +122,7 @@ def test_names_that_are_not_utf8(packed, transfer, tmp_path):
 
 def test_texts_and_numbers_that_no_file_holds(packed, transfer, tmp_path):
     """Longer, or not finite: shortened or left out."""
-    far = View("c", np.eye(4).tolist(), 45.0, 8, 8, 0.0, math.inf)
+    far = View("c", np.eye(4).tolist(), 45.0, 8, 8, 0.1, math.inf)
     effect = Effect("e", SIMULATED, math.nan, math.inf, 1, "r" * 70_000)
     odd = {"seconds": {"a": 1.0, "b": math.nan}, "effects": (effect,), "view": far, "source": "s" * 70_000}
     mesh = replace(packed.mesh, name="n" * 70_000, notes=("m" * 70_000,) * 80)
