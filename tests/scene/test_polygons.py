@@ -223,3 +223,12 @@ def test_long_polygons_that_do_not_cross_themselves_are_cut(polygon):
     parts = area(triangles)
     np.testing.assert_allclose(parts.sum(axis=0), shoelace(polygon), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(parts, axis=1).sum(), np.linalg.norm(shoelace(polygon)), rtol=1e-9)
+
+
+def test_a_bent_polygon_that_is_too_long_to_be_clipped_becomes_a_fan(monkeypatch):
+    monkeypatch.setattr(polygons.mapbox_earcut, "triangulate_float64", lambda *_: pytest.fail("clipped"))
+    rounds = np.tile(regular(3), (1000, 1))
+    rounds[:, 2] = np.linspace(0, 1, 3000)
+    _, triangles, _ = cut(rounds)
+    assert triangles.shape == (2998, 3)
+    assert not triangles[:, 0].any()

@@ -84,7 +84,7 @@ def triangulate(
     Raises
     ------
     TangledError
-        A polygon of thousands of corners is not convex and crosses itself, goes round again, or has too many.
+        A flat polygon of thousands of corners is not convex and crosses itself, goes round again, or has too many.
     """
     numbers = np.arange(len(corners), dtype=np.int64)
     if np.all(sizes == 3):
@@ -145,7 +145,9 @@ def _cut(
         for number in np.flatnonzero(~plain):
             budget.clipping -= 0 if _is_simple(flat[number]) else size**3
             if size > _MOST_CLIPPED or budget.clipping < 0:
-                raise _TooLongError(int(number))
+                if not _is_bent(points[number]):
+                    raise _TooLongError(int(number))
+                plain[number] = True
     cuts = [_clip_ears(flat[row], points[row], fan, budget) for row in np.flatnonzero(~plain)]
     simple = np.flatnonzero(plain)
     row = np.concatenate([np.repeat(simple, size - 2), np.repeat(np.flatnonzero(~plain), [len(cut) for cut in cuts])])
@@ -248,10 +250,15 @@ def _clip_ears(
     if len(triangles) == len(flat) - 2:
         return triangles.astype(np.int64)
     # A corner left out of a bent polygon would be a hole in the surface, and out of a flat one is none.
-    if np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > _STRAIGHT:
+    if _is_bent(points):
         budget.spanning -= len(flat) ** 3
         return _span(points) if len(flat) <= _MOST_SPANNED and budget.spanning >= 0 else fan
     return triangles.astype(np.int64) if len(triangles) else fan
+
+
+def _is_bent(points: NDArray[np.float64]) -> bool:
+    """Whether corners (n, 3) are in no plane."""
+    return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > _STRAIGHT)
 
 
 def _span(points: NDArray[np.float64]) -> NDArray[np.int64]:
