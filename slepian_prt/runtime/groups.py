@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -66,15 +67,20 @@ def group_caps(
 
 
 def _mean_transfer(part: Factors, lit: NDArray[np.bool_], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    mean = part.coefficients[lit].mean(axis=0, dtype=np.float64) @ part.functions.reshape(len(part.functions), -1)
+    mean = part.coefficients[lit].mean(axis=0, dtype=np.float64) @ _rows(part.functions)
     return np.asarray((mean.reshape(-1, weights.size) * weights).ravel())
+
+
+def _rows(functions: NDArray) -> NDArray:
+    """(K, channels (L+1)²) functions (K, channels, (L+1)²), of which a cap may have none."""
+    return functions.reshape(len(functions), math.prod(functions.shape[1:]))
 
 
 def _group(
     caps: Sequence[tuple[Factors, NDArray[np.integer], NDArray[np.bool_]]], weights: NDArray[np.float64]
 ) -> Group:
     """One basis for all functions of some caps, along the principal axes of their transfer."""
-    weighted = [(part.functions * weights).reshape(len(part.functions), -1).astype(np.float64) for part, _, _ in caps]
+    weighted = [_rows(part.functions * weights).astype(np.float64) for part, _, _ in caps]
     basis = np.linalg.qr(np.concatenate(weighted).T)[0]
     values = np.concatenate(
         [
@@ -87,7 +93,7 @@ def _group(
     if not np.isfinite(products).all():
         raise UserError("squares of the transfer are too large for float32; precompute it again, of light in its units")
     energies, axes = np.linalg.eigh(products.astype(np.float64))
-    kept = axes[:, ::-1][:, energies[::-1] > _ROUNDING * max(energies[-1], 0.0)]
+    kept = axes[:, ::-1][:, energies[::-1] > _ROUNDING * energies.max(initial=0.0)]
     channels = len(basis) // weights.size  # there may be no functions, where all is dark
     functions = (basis @ kept).T.reshape(kept.shape[1], channels, weights.size) / weights
     found = np.concatenate([own[lit] for _, own, lit in caps])

@@ -43,6 +43,21 @@ def test_groups_hold_what_caps_do(rng):
                 assert np.all(np.diff(energies) <= 1e-5 * energies[0])
 
 
+def test_caps_without_functions(rng):
+    """Where no light arrives: alone, and beside others."""
+    weights = np.ones(num_coefficients(BANDLIMIT))
+    for channels in (1, 3):
+        dark = Factors(np.zeros((5, 0), np.float32), np.zeros((0, channels, weights.size), np.float32))
+        parts, members, _ = caps(rng, channels)
+        alone = group_caps([dark], [np.arange(5)], np.ones(5, dtype=bool), weights, 2)
+        assert [group.values.shape for group in alone] == [(5, 0)]
+        assert alone[0].functions.shape == (0, channels * weights.size)
+        active = np.ones(95, dtype=bool)
+        for most in (2, 9):
+            groups = group_caps([*parts, dark], [*members, np.arange(90, 95)], active, weights, most)
+            assert sorted(np.concatenate([group.members for group in groups])) == list(range(95))
+
+
 def test_energies_by_degree(rng):
     total, wanted = DegreeEnergies(BANDLIMIT), np.zeros(BANDLIMIT + 1)
     for channels in (3, 3):
