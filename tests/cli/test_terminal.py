@@ -75,8 +75,9 @@ HOSTILE = "\x1b]0;title\x07\x1b[2Ja\r\nb\u202ec\udcff"
 ESCAPED = r"\x1b]0;title\x07\x1b[2Ja\r\nb\u202ec\udcff"
 
 
-def test_names_give_no_commands_to_terminals(capsys, tmp_path):
+def test_names_give_no_commands_to_terminals(capsys, monkeypatch, tmp_path):
     """In results, remarks, tables and errors; those of the library too, which name materials and files."""
+    monkeypatch.setattr(logging.getLogger("slepian_prt"), "propagate", False)  # reports of tests are UTF-8
     say(f"{HOSTILE}: done")
     note(f"texture {HOSTILE}")
     print_table({"material": "left"}, [[HOSTILE]])
