@@ -399,7 +399,7 @@ def test_peak_memory_does_not_grow_with_the_mesh(monkeypatch):
     Counted in bytes of living arrays: what the process takes from the system depends on when its threads give back.
     """
     # Blocks and pieces are small, so that even these meshes have many.
-    monkeypatch.setattr("slepian_prt.transport.estimator._NUMBERS_PER_BLOCK", 1 << 19)
+    monkeypatch.setattr("slepian_prt.transport.estimator.NUMBERS_PER_BLOCK", 1 << 19)
     monkeypatch.setattr("slepian_prt.compression.blocks._PIECE", 1 << 17)
     monkeypatch.setattr("slepian_prt.compression.encoder._SAMPLE_COEFFICIENTS", 1 << 17)
     peaks, counts = [], []

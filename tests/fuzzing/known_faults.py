@@ -22,7 +22,7 @@ def _refused() -> None:
 
 
 def _no_line() -> None:
-    raise UserError("scan.ply:\nTraceback")
+    raise UserError("scan.ply: " + 1000 * "x")
 
 
 def _other() -> None:

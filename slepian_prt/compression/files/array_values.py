@@ -125,7 +125,7 @@ def check_terms(known: Known, array: NDArray) -> None:
     caps, size, channels = known.sizes["C"], known.sizes["M"], known.manifest["channels"]
     if len(array) not in (1, caps):
         raise ValueError(f"shape {array.shape}")
-    if not 1 <= array.max() <= size:
+    if array.max() > size:  # of means alone there may be none
         raise ValueError(f"{array.max()} functions of {size}")
     terms = np.broadcast_to(array.astype(np.int64), caps)
     low, high = int(terms.min()), int(terms.max())
@@ -170,18 +170,30 @@ def check_repeats(known: Known, array: NDArray) -> None:
     firsts = np.cumsum(known.arrays["radial/count"].astype(np.int64)) - known.arrays["radial/count"]
     alone = np.zeros(count, dtype=bool)
     alone[firsts[firsts < count]] = True
-    if np.any(repeats & (alone | (orders != np.roll(orders, 1)))):
-        raise ValueError("functions that repeat ones of other orders")
+    if np.any(repeats & alone):
+        raise ValueError("a first function that repeats another")
     lengths = np.where(repeats, 0, known.sizes["L+1"] - orders)
     known.sizes["radial numbers"] = int(lengths.sum())
     known.arrays["lengths of functions"] = lengths[lengths > 0]
+    known.arrays["repeats"] = repeats
 
 
 def check_radial(known: Known, array: NDArray) -> None:
-    """Functions of one order each, one after the other."""
+    """Functions of one order each, one after the other; those of other orders may have the same numbers.
+
+    About the whole sphere functions are single harmonics, so that a number 1 of degree 3 serves the orders 0 to 3.
+    """
     lengths = known.arrays["lengths of functions"]
-    if lengths.size:
-        _check_norms(np.add.reduceat(_squares(known, array), np.cumsum(lengths) - lengths))
+    if not lengths.size:
+        return
+    starts = np.cumsum(lengths) - lengths
+    _check_norms(np.add.reduceat(_squares(known, array), starts))
+    orders, repeats = np.abs(known.arrays["radial/order"].astype(np.int64)), known.arrays["repeats"]
+    places = np.flatnonzero(array)  # each function has some, as it is of unit length
+    first = places[np.searchsorted(places, starts)]
+    lowest = first - starts + orders[~repeats]  # degree
+    if np.any(orders > lowest[np.cumsum(~repeats) - 1]):
+        raise ValueError("functions that repeat degrees below their order")
 
 
 def check_dense(known: Known, array: NDArray) -> None:

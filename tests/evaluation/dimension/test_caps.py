@@ -14,6 +14,7 @@ from slepian_prt.evaluation.dimension.caps import cap_dimensions, count_concentr
 from slepian_prt.scene.mesh import Mesh
 from tests.conftest import bumpy
 from tests.format_reader import read
+from tests.fuzzing.prt_files import pack
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +132,8 @@ def test_older_files_do_not_tell(packed, tmp_path):
 @pytest.mark.parametrize("half_angle", [math.nan, -0.1, 3.2, "wide", None, [0.1]])
 def test_half_angles_that_are_none(packed, tmp_path, half_angle):
     contents = Contents(packed._contents.path)
-    write(tmp_path / "spoiled.prt", {**contents.manifest, "half_angle": half_angle}, contents.arrays())
+    spoiled = pack({**contents.manifest, "half_angle": half_angle}, contents.arrays())
+    (tmp_path / "spoiled.prt").write_bytes(spoiled)
     with pytest.raises(sp.UserError, match=r"spoiled\.prt: .* \(.*\); precompute it again$"):
         sp.load(tmp_path / "spoiled.prt", check=False)
 
