@@ -12,6 +12,7 @@ from pathlib import Path
 
 from slepian_prt.errors import UserError
 from slepian_prt.machine.control_groups import folders_of, read_number
+from slepian_prt.machine.variables import variable_set
 
 log = logging.getLogger(__name__)
 
@@ -84,15 +85,8 @@ def memory_limited(size: int | None) -> Iterator[None]:
     if size is None:
         yield
         return
-    before = os.environ.get(MAX_MEMORY)
-    os.environ[MAX_MEMORY] = str(size)
-    try:
+    with variable_set(MAX_MEMORY, str(size)):
         yield
-    finally:
-        if before is None:
-            del os.environ[MAX_MEMORY]
-        else:
-            os.environ[MAX_MEMORY] = before
 
 
 def check_memory(need: int, work: str, remedy: str) -> None:

@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 from slepian_prt.errors import UserError
 from slepian_prt.machine.cores import usable_cores
+from slepian_prt.machine.variables import variable_set
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -79,15 +80,8 @@ def check_threads(count: Any, name: str = "threads") -> int:
 @contextmanager
 def count_given(count: int) -> Iterator[None]:
     """Within the block, `thread_count` is that, also in processes that are started; raise as `check_threads`."""
-    before = os.environ.get(THREADS)
-    os.environ[THREADS] = str(check_threads(count))
-    try:
+    with variable_set(THREADS, str(check_threads(count))):
         yield
-    finally:
-        if before is None:
-            del os.environ[THREADS]
-        else:
-            os.environ[THREADS] = before
 
 
 def map_in_threads(

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 from slepian_prt.errors import UserError
+from slepian_prt.machine.variables import variable_set
 from slepian_prt.renderer import llvm
 from slepian_prt.renderer.forks import check_not_forked
 from slepian_prt.renderer.threads import size_pool_once
@@ -109,16 +110,12 @@ def chosen_variant(name: str | None) -> Iterator[None]:
         yield
         return
     wanted, mi = _usable(name, "variant"), imported_mitsuba()
-    before, given = mi.variant(), os.environ.get("SLEPIAN_PRT_VARIANT")
+    before = mi.variant()
     _set_variant(mi, wanted)
-    os.environ["SLEPIAN_PRT_VARIANT"] = name
     try:
-        yield
+        with variable_set("SLEPIAN_PRT_VARIANT", name):
+            yield
     finally:
-        if given is None:
-            del os.environ["SLEPIAN_PRT_VARIANT"]
-        else:
-            os.environ["SLEPIAN_PRT_VARIANT"] = given
         if before:
             mi.set_variant(before)
 
