@@ -128,6 +128,7 @@ SIGNALLED_WHEN_WRITTEN = """
 """
 
 
+@pytest.mark.slow
 def test_what_is_in_its_place_is_not_said_to_be_unwritten(tmp_path):
     process = begin(SIGNALLED_WHEN_WRITTEN, tmp_path, *SPECTRUM)
     _, error = process.communicate(timeout=60)
@@ -152,6 +153,7 @@ SIGNALLED_WHEN_BLOCKED = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("both", [False, True])
 def test_a_command_whose_output_nobody_reads_can_be_ended(tmp_path, both):
     """Standard output, or error too, is a full pipe that is open."""
@@ -311,6 +313,7 @@ def test_what_nobody_reads_ends_no_work(tmp_path, gone):
     assert os.listdir(tmp_path) == ["x.json"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_below_standard_output_is_told_when_all_is_done(tmp_path):
     code = "from slepian_prt.__main__ import main; main()"
     with open("/dev/full", "wb") as full:

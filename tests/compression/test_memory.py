@@ -41,6 +41,7 @@ def refuse_to_trace(*_args, **_named):
     raise AssertionError("traced")
 
 
+@pytest.mark.slow
 def test_vectors_that_cannot_be_coded_are_refused_before_they_are_traced(monkeypatch):
     """They themselves fit: with interreflection they are held all at once."""
     monkeypatch.setattr(transfer_module, "merge_equal_channels", refuse_to_trace)
@@ -50,6 +51,7 @@ def test_vectors_that_cannot_be_coded_are_refused_before_they_are_traced(monkeyp
         precompute_compressed(example("knot"), bandlimit=50, samples=1024, albedo=0.5)
 
 
+@pytest.mark.slow
 def test_the_search_for_a_goal_is_told_of_before_its_pilot(monkeypatch, caplog):
     monkeypatch.setattr("slepian_prt.accuracy.run.draw_vertices", refuse_to_trace)
     given = example("knot"), Goal(error=0.1), Light(spectrum="falling"), CompressionSettings(), TransportSettings()

@@ -10,6 +10,7 @@ from slepian_prt.transport.memory import part_of_blocks
 from tests.numerics import assert_rounded
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_names_what_to_change():
     told = r"transfer of 33301 vertices at bandlimit 50, held all at once, needs about .* `max_memory` allows 300 MiB; "
     with memory_limited(300 << 20), pytest.raises(UserError, match=told + "raise `max_memory`, or lower `bandlimit`"):
