@@ -3,8 +3,9 @@
 BLAS gets one, for all sizes. Its threads spin while they wait for each other: that costs the last of them a time slice
 wherever another process wants the cores, at each of the thousands of products and decompositions of a run. On two
 cores, clustered PCA of 9,216 vertices took 8.2 s with two threads on an idle machine, 1.6 s with one, and 2.9 s beside
-two busy loops; plain compression gained a quarter from the second (`scripts/benchmark loaded`). What gains from more cores is cut into blocks that do not wait for each other, for threads of our own
-(`map_in_threads`), which degrade as all programs do. So results do not depend on the number of cores either.
+two busy loops; plain compression gained a quarter from the second (`scripts/benchmark loaded`). What gains from more
+cores is cut into blocks that do not wait for each other, for threads of our own (`map_in_threads`), which degrade as
+all programs do. So results do not depend on the number of cores either.
 """
 
 from __future__ import annotations

@@ -228,6 +228,8 @@ def _other_type(array: NDArray, random: random.Random) -> NDArray:
 
 
 def _other_shape(array: NDArray, random: random.Random) -> NDArray:
+    if array.ndim == 0:
+        return array[None]
     kind = random.randrange(7)
     if kind == 0:
         return array[:-1]
